@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import TypeGuard
 
 from thorvaldc import model
 from thorvaldc.backends.description_parts import NEGLIGIBLE, Palette
 from thorvaldc.backends.xml_writer import Element
+from thorvaldc.model.sensor_numbers import sensor_numbers
 from thorvaldc.model.spatial import clean, quat_from_z_to
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.standing import standing_of
@@ -383,13 +383,11 @@ class RobotWriter:
             # The optical frame of a camera looks along its z axis, and its y axis points down. A
             # MuJoCo camera looks along its -z axis, and its y axis points up.
             camera = body.add("camera", name=name, quat=(0, 1, 0, 0))
-            values = dict(sensor.properties)
-            width, height = values.get("image_width"), values.get("image_height")
-            angle = values.get("horizontal_field_of_view")
-            if _positive(width) and _positive(height) and _positive(angle):
-                across = math.tan(angle / 2) * height / width
-                camera.set(fovy=clean(math.degrees(2 * math.atan(across))))
-                camera.set(resolution=(int(width), int(height)))
+            values = sensor_numbers(sensor)
+            width, height = values["image_width"], values["image_height"]
+            across = math.tan(values["horizontal_field_of_view"] / 2) * height / width
+            camera.set(fovy=clean(math.degrees(2 * math.atan(across))))
+            camera.set(resolution=(int(width), int(height)))
 
     def _add_actuator(self, actuator: model.Actuator, driven: int) -> None:
         joint = self.tree.joints[actuator.joint]
@@ -525,10 +523,6 @@ def _servo_gains(joint: model.Joint, inertia: float) -> tuple[float, float]:
 def _solref(contact: WheelContact) -> tuple[float, float] | None:
     """Return MuJoCo's ``solref`` of a wheel, or ``None`` for the value of the default class."""
     return None if contact.damping_ratio == SOLREF[1] else (SOLREF[0], contact.damping_ratio)
-
-
-def _positive(value: object) -> TypeGuard[float]:
-    return isinstance(value, int | float) and value > 0
 
 
 def _place(element: Element, pose: model.Pose) -> None:

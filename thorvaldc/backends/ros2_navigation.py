@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from thorvaldc.backends import ros2_parts
 from thorvaldc.backends.ros2_parameters import Parameters, is_holonomic
 from thorvaldc.model import Robot, Sensor
+from thorvaldc.model.sensor_numbers import sensor_numbers
 from thorvaldc.model.statics.tip_over import footprint
 
 CONTROLLER_FREQUENCY = 20.0  # Hz; MPPI needs a step of this period
@@ -309,7 +310,7 @@ def _obstacles(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
     }
     for name, sensor in zip(names, parts.lidars, strict=True):
         is_scan = sensor.type == "lidar_2d"
-        reach = float(dict(sensor.properties).get("range", 10.0))
+        reach = sensor_numbers(sensor)["range"]
         values[name] = {
             "topic": ros2_parts.sensor_topic(robot, sensor),
             "data_type": "LaserScan" if is_scan else "PointCloud2",

@@ -21,6 +21,7 @@ from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.diagnostics.files import write_file
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import GROUPS, Scenario, SensorSettings
+from thorvaldc.model.sensor_numbers import not_simulated
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation import scenario_run
 from thorvaldc.simulation.control_loop import SimulationResult, TickCallback, result_table
@@ -141,6 +142,9 @@ def run_drive(
         )
         if sensors and not simulation.sensors:
             message("no robot has a sensor that is simulated")
+        left_out = not_simulated(robot for _, robot in simulation.robots) if sensors else []
+        if left_out:
+            message(f"not simulated: {', '.join(left_out)}")
         if not duration:
             duration = TWIST_DURATION if twist is not None else simulation.demonstration()[1]
         with ExitStack() as stack:

@@ -335,7 +335,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV852", "bus-fault-unsuited", "a device does not support an injected fault"),
     _note("TV853", "twist-limited", "a commanded twist is faster than a speed limit allows"),
     _warning("TV854", "twist-not-followed", "a robot drives another twist than the commanded one"),
-    _warning("TV855", "scenario-sensor-missing", "sensors shall measure, but no robot has one"),
+    _warning("TV855", "scenario-sensor-missing", "sensors shall measure that are not simulated"),
     _error("TV860", "bus-error", "CAN frames are not transmitted on a bus", outside=True),
     _error("TV861", "bus-other-master", "another master is active on the bus", outside=True),
     _error("TV862", "bus-wrong-robot", "the devices on a bus differ from the robot file"),

@@ -1,34 +1,72 @@
-"""The numbers of a sensor, with the defaults for a module that does not state them."""
+"""The numbers of simulated sensors: their quantities, defaults and bounds."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from typing import Any
 
-from thorvaldc.model.robot import Sensor
+from thorvaldc.model.robot import Robot, Sensor
 
 WORLD_ORIGIN = (59.665, 10.775, 90.0)
 """Latitude (deg), longitude (deg) and height (m) of the origin of simulated worlds for GNSS
 receivers: a field in As, Norway.  The x axis of a world points east, the y axis north."""
 
-_LIDAR = {"range": 30.0, "minimum_range": 0.05, "range_noise": 0.0, "dropouts": 0.0, "rate": 10.0}
-_LIDAR |= {"field_of_view": math.tau, "angular_resolution": math.radians(1.0)}
-_IMU = ("gyro_noise", "gyro_bias", "accelerometer_noise", "accelerometer_bias")
-_IMAGE = {"image_width": 1280.0, "image_height": 720.0}
-_DEFAULTS: Mapping[str, Mapping[str, float]] = {
-    "lidar_2d": _LIDAR,
-    "lidar_3d": {**_LIDAR, "vertical_field_of_view": math.radians(30.0), "layers": 16.0},
-    "imu": {
-        "rate": 100.0,
-        "orientation_accuracy": 0.0,
-        "orientation_time": 10.0,
-        **dict.fromkeys(_IMU, 0.0),
-    },
-    "gnss": {"rate": 10.0, "accuracy": 0.0, "wander": 0.0, "wander_time": 60.0},
-    "camera": {"rate": 10.0, "horizontal_field_of_view": math.radians(69.0), **_IMAGE},
+
+Schema = Mapping[str, Any]
+_KEYWORDS = {"above": "x-exclusive-minimum", "least": "x-minimum", "most": "x-maximum"}
+
+
+def _number(quantity: str, default: float, **bounds: float | str) -> Schema:
+    keywords = {_KEYWORDS[name]: bound for name, bound in bounds.items()}
+    return {"x-quantity": quantity, "default": default, **keywords}
+
+
+def _whole(default: int, most: int) -> Schema:
+    return {**_number("number", default, least=1, most=most), "type": ["integer", "string"]}
+
+
+_DEGREE = math.radians(1.0)
+_LIDAR = {
+    "range": _number("length", 30.0, above=0),
+    "minimum_range": _number("length", 0.05, least=0),
+    "range_noise": _number("length", 0.0, least=0),
+    "dropouts": _number("number", 0.0, least=0, most=1),
+    "rate": _number("frequency", 10.0, above=0),
+    "field_of_view": _number("angle", math.tau, above=0, most="360 deg"),
+    "angular_resolution": _number("angle", _DEGREE, least="0.01 deg"),
 }
-SIMULATED = tuple(_DEFAULTS)
-"""Types of the sensors that simulators have."""
+SENSOR_NUMBERS: Mapping[str, Mapping[str, Schema]] = {
+    "lidar_2d": _LIDAR,
+    "lidar_3d": {
+        **_LIDAR,
+        "vertical_field_of_view": _number("angle", 30.0 * _DEGREE, above=0, most="180 deg"),
+        "layers": _whole(16, 1024),
+    },
+    "imu": {
+        "rate": _number("frequency", 100.0, above=0),
+        "orientation_accuracy": _number("angle", 0.0, least=0),
+        "orientation_time": _number("time", 10.0, above=0),
+        "gyro_noise": _number("number", 0.0, least=0),
+        "gyro_bias": _number("angular_velocity", 0.0, least=0),
+        "accelerometer_noise": _number("number", 0.0, least=0),
+        "accelerometer_bias": _number("acceleration", 0.0, least=0),
+    },
+    "gnss": {
+        "rate": _number("frequency", 10.0, above=0),
+        "accuracy": _number("length", 0.0, least=0),
+        "wander": _number("number", 0.0, least=0, most=1),
+        "wander_time": _number("time", 60.0, above=0),
+    },
+    "camera": {
+        "rate": _number("frequency", 10.0, above=0),
+        "horizontal_field_of_view": _number("angle", 69.0 * _DEGREE, above=0, most="179 deg"),
+        "image_width": _whole(1280, 65535),
+        "image_height": _whole(720, 65535),
+    },
+}
+"""The numbers of the sensors that simulators have, by type and name: quantity, default and bounds
+in SI units, with the keywords of the schemas of documents."""
 
 
 def sensor_numbers(sensor: Sensor) -> dict[str, float]:
@@ -37,7 +75,11 @@ def sensor_numbers(sensor: Sensor) -> dict[str, float]:
     A value that is missing, or is a text, has its default.
     """
     stated = {name: v for name, v in sensor.properties if not isinstance(v, str)}
-    return {name: float(stated.get(name, v)) for name, v in _DEFAULTS[sensor.type].items()}
+    numbers = SENSOR_NUMBERS[sensor.type].items()
+    return {
+        name: float(stated[name] if name in stated else schema["default"])
+        for name, schema in numbers
+    }
 
 
 def ray_count(numbers: Mapping[str, float]) -> int:
@@ -45,15 +87,11 @@ def ray_count(numbers: Mapping[str, float]) -> int:
     return max(2, round(numbers["field_of_view"] / numbers["angular_resolution"]) + 1)
 
 
-def wrong_numbers(sensor: Sensor) -> list[str]:
-    """Return the names of the numbers of a sensor that no sensor can have: negative ones, zero
-    where the default is a positive number, and a share above 1."""
-    if sensor.type not in SIMULATED:
-        return []
-    defaults = {**_DEFAULTS[sensor.type], "minimum_range": 0.0}
-    shares = ("dropouts", "wander")
+def not_simulated(robots: Iterable[Robot]) -> list[str]:
+    """Return the name and the type of each sensor that simulators do not have."""
     return [
-        name
-        for name, value in sensor_numbers(sensor).items()
-        if value < 0.0 or (value == 0.0 < defaults[name]) or (name in shares and value > 1.0)
+        f"`{robot.prefix}{sensor.name}` ({sensor.type})"
+        for robot in robots
+        for sensor in robot.sensors
+        if sensor.type not in SENSOR_NUMBERS
     ]

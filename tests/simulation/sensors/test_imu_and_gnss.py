@@ -96,11 +96,23 @@ def test_errors_of_an_imu_are_those_of_the_module(tmp_path: Path) -> None:
     # A bias lasts for the whole drive, which counts as 15 s, in both directions of time.
     bias = 2.0 * 15.0 / 0.01 * math.radians(0.01) ** 2
     assert reading.angular_velocity_covariance[0] == pytest.approx((0.00015 * 10.0) ** 2 + bias)
-    biases = []
-    for seed in range(60):
-        run = simulation(tmp_path, f"noise: {{seed: {seed}}}\n", sensors="sensors: {errors: 100}\n")
-        biases.append(run.sensors[IMU].gyro_bias)
-    assert np.std(biases) == pytest.approx(100 * math.radians(0.01), rel=0.2)
+
+
+def test_biases_of_an_imu_are_those_of_the_module(tmp_path: Path) -> None:
+    params = "gyro_noise: 0, accelerometer_noise: 0, accelerometer_bias: 0.002 m/s^2"
+    imu = f"  imu: {{type: sensor/imu, mount: frame.rear_center, params: {{{params}}}}}\n"
+    runs = [
+        simulation(tmp_path, f"noise: {{seed: {n}}}\n", imu, sensors="sensors: {errors: 2}\n")
+        for n in range(60)
+    ]
+    first, second = ([run.sensors[IMU].measure()[0] for run in runs] for _ in range(2))
+    gyro = np.array([xyz(m.angular_velocity) for m in first])
+    force = np.array([xyz(m.linear_acceleration) for m in first])
+    assert gyro.std() == pytest.approx(2 * math.radians(0.01), rel=0.2)
+    assert force.std(axis=0).mean() == pytest.approx(2 * 0.002, rel=0.2)
+    assert force.mean(axis=0) == pytest.approx([0.0, 0.0, G], abs=0.002)
+    # A bias lasts for the whole run.
+    assert [xyz(m.angular_velocity) for m in second] == pytest.approx(gyro)
 
 
 def test_errors_of_the_orientation_last(tmp_path: Path) -> None:
@@ -163,3 +175,19 @@ def test_errors_of_a_fix_wander(tmp_path: Path) -> None:
         correlation = (errors[lag:] * errors[:-lag]).mean() / errors.var()
         assert correlation == pytest.approx(0.6 * math.exp(-lag * 0.2 / 2.0), abs=0.1)
     assert measured[0].position_covariance[0] == pytest.approx(0.02**2)
+
+
+def test_two_receivers_have_different_errors(tmp_path: Path) -> None:
+    gnss = "".join(
+        f"  {name}: {{type: sensor/gnss_antenna, mount: {{parent: frame, xyz: [{x}, 0, 0.1]}}}}\n"
+        for name, x in (("a", 0.2), ("b", -0.2))
+    )
+    run = simulation(tmp_path, "", gnss, sensors="sensors: {errors: 1}\n")
+    a, b = (run.sensors[f"rover/{name}"].measure()[0] for name in "ab")
+    assert abs(a.altitude - b.altitude) > 1e-6
+
+
+def test_a_receiver_that_states_no_accuracy_has_no_known_covariance(tmp_path: Path) -> None:
+    gnss = "  gnss: {type: sensor/gnss_antenna, mount: {parent: frame}, params: {accuracy: 0}}\n"
+    fix = simulation(tmp_path, "", gnss).sensors[GNSS].measure()[0]
+    assert fix.position_covariance_type == 0

@@ -175,9 +175,13 @@ def test_errors_of_a_scan_are_those_of_the_module(tmp_path: Path) -> None:
     assert (scans[:, exact > 5.1] == math.inf).all()
     near = exact < 2.7
     assert near.any()
-    assert set(np.unique(scans[:, near])) <= {-math.inf, math.inf}
+    assert set(np.unique(scans[:, near])) == {-math.inf, math.inf}  # REP 117; lost rays are inf
+    assert (scans[:, near] == -math.inf).mean() == pytest.approx(0.9, abs=0.02)
     # Equal seeds give equal errors, other seeds other ones.
     sensor.reset()
     assert (sensor.measure()[0].ranges == scans[0]).all()
     other = simulation(tmp_path, WALLS, lidar, sensors="sensors: {errors: 1}\nnoise: {seed: 4}\n")
     assert (other.sensors["rover/lidar"].measure()[0].ranges != scans[0]).any()
+    # Exact measurements have no dropouts either.
+    sensor.settings = SensorSettings(errors=0.0)
+    assert sensor.measure()[0].ranges[inside] == pytest.approx(exact[inside], rel=1e-6)

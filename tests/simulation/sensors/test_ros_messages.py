@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Iterator
@@ -37,6 +38,8 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     recorder = McapRecorder(folder / "run.mcap", run.robots, ("odometry", "truth"))
     run.play(Report(), [recorder])
     recorder.close()
+    layout = json.loads((folder / "run.foxglove.json").read_text())["configById"]["3D!robots"]
+    assert {"/rover/lidar/scan", "/rover/tower/points"} <= layout["topics"].keys()
     return folder / "run.mcap", run
 
 

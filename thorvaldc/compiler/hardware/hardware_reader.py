@@ -25,9 +25,9 @@ from thorvaldc.compiler.source.dimensions import EXPECTED, element_of
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import INVALID, entries, items
-from thorvaldc.diagnostics import Proposal, Report, plain
+from thorvaldc.diagnostics import Proposal, Report, did_you_mean, plain
 from thorvaldc.model.robot import NOT_STATED
-from thorvaldc.model.sensor_numbers import wrong_numbers
+from thorvaldc.model.sensor_numbers import SENSOR_NUMBERS
 from thorvaldc.model.spatial import clean, combine
 
 
@@ -274,13 +274,25 @@ class _HardwareReader:
     def _sensor(self, node: Node) -> model.Sensor:
         """Reads the section `sensor` of a module document."""
         kind, link = self.scope.text(node.get("type")), self.values.link_name(node.get("link"))
-        properties = self.values.properties(node.get("properties"))
-        sensor = model.Sensor("", "", kind, link, properties, node.where)
-        for name in wrong_numbers(sensor):
-            value = dict(properties)[name]
-            message = f"`{name}` of a {kind} is {value:g}, which no sensor can have"
-            self.report.add("out-of-range", message, node.where)
-        return sensor
+        properties = node.get("properties")
+        if kind in SENSOR_NUMBERS:
+            self._check_numbers(kind, properties or Node({}, node.span))
+        return model.Sensor("", "", kind, link, self.values.properties(properties), node.where)
+
+    def _check_numbers(self, kind: str, properties: Node) -> None:
+        """Checks the numbers of a simulated sensor; other properties are for other programs."""
+        schemas = SENSOR_NUMBERS[kind]
+        numbers = Section(properties, {"properties": schemas}, self.scope).read()
+        if "minimum_range" in schemas:
+            largest = numbers.get("range", schemas["range"]["default"])
+            numbers.is_within("minimum_range", {"x-maximum": largest})
+        stated = entries(properties)
+        others = [name for name in schemas if name not in stated]
+        for name, node in stated.items():
+            hint = did_you_mean(name, others) if name not in schemas else None
+            if hint is not None:
+                message = f"`{name}` is not a number of a {kind}"
+                self.report.add("unknown-key", message, node.where, hint=hint)
 
     def _battery(self, node: Node) -> model.Battery:
         """Reads the section `battery` of a module document."""

@@ -34,7 +34,7 @@ from thorvaldc.model.scenario import (
     SensorSettings,
     WheelFault,
 )
-from thorvaldc.model.sensor_numbers import SIMULATED
+from thorvaldc.model.sensor_numbers import SENSOR_NUMBERS, not_simulated
 from thorvaldc.schema import inlined
 
 
@@ -449,12 +449,15 @@ class _SectionReader:
 
     def sensors(self, settings: Section) -> SensorSettings:
         """Returns the settings of the sensors of the modules."""
-        if not any(s.type in SIMULATED for r in self.robots.values() for s in r.sensors):
+        left_out = not_simulated(self.robots.values())
+        if left_out or not any(robot.sensors for robot in self.robots.values()):
             self.report.add(
                 "scenario-sensor-missing",
-                "no robot of the scenario has a sensor that is simulated",
+                f"no simulated sensor has the type of {', '.join(left_out)}"
+                if left_out
+                else "no robot of the scenario has a sensor",
                 settings.node.where,
-                hint=f"mount a module with one of these: {', '.join(SIMULATED)}",
+                hint=f"simulated are the types {', '.join(SENSOR_NUMBERS)}",
             )
         return SensorSettings(settings["errors"], settings["images"])
 

@@ -20,13 +20,22 @@ _TWISTS = {
     "truth": (f"{ros_bag.TRUE_ODOM}.twist",),
     "twist": (ros_bag.COMMANDED_TWIST, ros_bag.LIMITED_TWIST),
 }
+IN_SCENE = tuple(f"sensor_msgs/msg/{kind}" for kind in ("LaserScan", "PointCloud2", "Image"))
+"""Types of the measurements that the scene shows."""
 
 
-def foxglove_layout(robots: Sequence[tuple[str, Robot]], groups: Collection[str]) -> str:
-    """Returns the layout of a record as JSON text.  ``groups``: groups of the recorded values."""
+def foxglove_layout(
+    robots: Sequence[tuple[str, Robot]], groups: Collection[str], measurements: Sequence[str]
+) -> str:
+    """Returns the layout of a record as JSON text.
+
+    - ``groups``: groups of the recorded values.
+    - ``measurements``: topics of the types ``IN_SCENE``.
+    """
     template = (data_folder("templates") / "foxglove" / "layout.json").read_text(encoding="utf-8")
     layout = read_json(template)
     scene, speeds, drives, steering = layout["configById"].values()
+    scene["topics"] |= {topic: {"visible": True} for topic in measurements}
     if len(robots) == 1:
         scene["followTf"] = f"{robots[0][1].prefix}base_link"
     for name, robot in robots:

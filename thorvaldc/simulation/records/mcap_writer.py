@@ -45,7 +45,11 @@ from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import ZERO_COV, Pose2
 from thorvaldc.simulation.control_loop import Sample
-from thorvaldc.simulation.records.foxglove_layout import LAYOUT_SUFFIX, foxglove_layout
+from thorvaldc.simulation.records.foxglove_layout import (
+    IN_SCENE,
+    LAYOUT_SUFFIX,
+    foxglove_layout,
+)
 from thorvaldc.simulation.records.recorder import SampleInterval
 from thorvaldc.simulation.records.robot_description import (
     LinkFrames,
@@ -286,7 +290,7 @@ class McapRecorder:
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
         self.path = path
-        self._layout = foxglove_layout(robots, groups)
+        self._shown = robots, groups
         self._interval = SampleInterval(every)
         self._types = MessageTypes()
         self._pending: list[tuple[Any, int, bytes]] = []
@@ -352,7 +356,9 @@ class McapRecorder:
                     os.replace(self._folder / _NAME / f"{_NAME}.mcap", name)
                 self._remove_folder()
         if not self._failed:
-            write_file(self.path.with_suffix(LAYOUT_SUFFIX), self._layout)
+            in_scene = [c.topic for (_, kind), c in self._sensors.items() if kind in IN_SCENE]
+            layout = foxglove_layout(*self._shown, in_scene)
+            write_file(self.path.with_suffix(LAYOUT_SUFFIX), layout)
 
     @contextlib.contextmanager
     def _failing(self) -> Iterator[None]:
@@ -422,7 +428,7 @@ class _RobotTopics:
         self._odometry = odometry_template(odom, base)
         self._truth = odometry_template("map", true_base)
         joints = [*drives, *steering]
-        self._links = LinkFrames(robot, joints if ros_bag.JOINTS in connections else ())
+        self._links = LinkFrames(robot, joints)
         frames = [(odom, base)] if ros_bag.ODOM in connections else []
         self._static_frames = [("map", odom)] if frames else []
         if ros_bag.TRUE_ODOM in connections:

@@ -31,7 +31,12 @@ class Camera(SimulatedSensor):
                 raise DiagnosticError("simulation-scene", str(error)) from None
             (width, height), size = self._size, self.seen.model.vis.global_
             size.offwidth, size.offheight = max(size.offwidth, width), max(size.offheight, height)
-            self._renderer = mujoco.Renderer(self.seen.model, height, width)
+            try:
+                self._renderer = mujoco.Renderer(self.seen.model, height, width)
+            except mujoco.FatalError as error:
+                message = f"`{self.name}` cannot draw {width} x {height} pixels: {error}"
+                hint = "state fewer pixels, or leave the images out"
+                raise DiagnosticError("simulation-scene", message, hint=hint) from None
 
     def measure(self) -> list[Message]:
         width, height = self._size

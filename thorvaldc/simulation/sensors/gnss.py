@@ -32,7 +32,7 @@ class Gnss(SimulatedSensor):
             longitude=longitude,
             altitude=altitude,
             position_covariance=diagonal(accuracy**2),
-            position_covariance_type=2,  # the diagonal is known
+            position_covariance_type=2 if accuracy else 0,  # the diagonal is known, or nothing
         )
         return [fix]
 

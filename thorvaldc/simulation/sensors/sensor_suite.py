@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 from thorvaldc.model import Robot
@@ -51,8 +52,11 @@ class SensorSuite(dict[str, SimulatedSensor]):
         scene.sensors = self
 
     def reset(self) -> None:
-        """Begins a run: the next measurements are due at once."""
-        self._counts, self._due = dict.fromkeys(self, 0), dict.fromkeys(self, 0.0)
+        """Begins a run at the present time of the scene."""
+        # The next multiple of the period, which is 0 at the start of the scene.
+        now = self._scene.time - 1e-9
+        self._counts = {name: math.ceil(now / sensor.period) for name, sensor in self.items()}
+        self._due = {name: self._counts[name] * sensor.period for name, sensor in self.items()}
         for sensor in self.values():
             sensor.reset()
         self._seen.update()
