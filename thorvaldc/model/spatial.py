@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from thorvaldc.model import quantities as si
+from thorvaldc.model.element import Element
 
 GRAVITY = 9.81
 """Acceleration of free fall in m/s^2, equal to the default value of MuJoCo."""
@@ -168,8 +168,7 @@ def rotate(q: Quat, v: Vec3) -> Vec3:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Pose:
+class Pose(Element):
     """The pose of one frame in another frame.
 
     - ``xyz``: position in m.
@@ -213,8 +212,7 @@ class Pose:
         return Pose(clean3(self.xyz), (clean(q[0]), clean(q[1]), clean(q[2]), clean(q[3])))
 
 
-@dataclass(frozen=True, slots=True)
-class Inertial:
+class Inertial(Element):
     """The mass of a body in kg, its centre of mass ``com`` in m and its inertia in kg m^2.
 
     ``inertia`` contains the moments of inertia ``(ixx, iyy, izz, ixy, ixz, iyz)`` about the centre
