@@ -86,16 +86,16 @@ class Element(metaclass=ElementType):
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), tuple(getattr(self, name) for name in type(self)._names)
 
-    def _key(self) -> tuple[Any, ...]:
-        return _values(cast(Hashable, type(self)))(self)
-
     def __eq__(self, other: object) -> bool:
         if type(self) is not type(other):
             return NotImplemented
-        return self._key() == other._key()
+        cls: Any = type(self)
+        values = _values(cls)
+        return values(self) == values(other)
 
     def __hash__(self) -> int:
-        return hash(self._key())
+        cls: Any = type(self)
+        return hash(_values(cls)(self))
 
     def __repr__(self) -> str:
         shown = ", ".join(
