@@ -30,7 +30,7 @@ def figures() -> Iterator[Figure]:
         "warm compile and emit",
         warm * 1e3,
         "ms",
-        10,
+        25,
         "lower",
         "4WD4WS from robot.yaml to the files of all four targets in memory, in process,"
         " median processor time of 51; xacro expands a four-wheel robot to URDF alone in"

@@ -115,7 +115,7 @@ Jobs = Annotated[
     typer.Option("--jobs", "-j", metavar="N", help="Number of processes (default: one per core)."),
 ]
 
-_TIME = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-zµ]*)", re.ASCII)
+_TIME = r"(?a)([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-zµ]*)"
 _SECONDS = {
     name: factor
     for names, factor in (
@@ -135,7 +135,7 @@ def parse_time(text: str) -> float:
     Raises ``ValueError`` if the text is not a time. The compiler has another parser for values with
     units, which the runtime package does not contain.
     """
-    match = _TIME.fullmatch(text.strip())
+    match = re.fullmatch(_TIME, text.strip())
     if match is None or match[2] not in _SECONDS:
         raise ValueError(f"{text!r} is not a time; write it as in `5 s`")
     numerator, denominator = _SECONDS[match[2]]

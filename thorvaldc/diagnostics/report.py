@@ -349,8 +349,8 @@ class DiagnosticError(Exception):
 
 # -- similar warnings ------------------------------------------------------------------
 
-_NAME = re.compile(r"`([^`]*)`")
-_NUMBER = re.compile(r"\d[\d.]*(e[+-]?\d+)?")
+_NAME = r"`([^`]*)`"
+_NUMBER = r"\d[\d.]*(e[+-]?\d+)?"
 _SHOWN_PLACES, _SHOWN_NAMES = 3, 3
 
 
@@ -364,7 +364,7 @@ def grouped(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
     """
     groups: dict[tuple[object, ...], list[Diagnostic]] = {}
     for number, diagnostic in enumerate(diagnostics):
-        pattern = _NUMBER.sub("0", _NAME.sub("`", diagnostic.message))
+        pattern = re.sub(_NUMBER, "0", re.sub(_NAME, "`", diagnostic.message))
         key: tuple[object, ...] = (diagnostic.code, pattern, diagnostic.hint)
         if diagnostic.severity is Severity.ERROR:
             key = (number,)
@@ -375,8 +375,8 @@ def grouped(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
 def _merged(group: list[Diagnostic]) -> Diagnostic:
     first = group[0]
     message = f"{first.message} ({len(group)} places"
-    first_names = _NAME.findall(first.message)
-    others = {name: None for d in group for name in _NAME.findall(d.message)}
+    first_names = re.findall(_NAME, first.message)
+    others = {name: None for d in group for name in re.findall(_NAME, d.message)}
     names = [f"`{name}`" for name in others if name not in first_names]
     if names:
         more = ", ..." if len(names) > _SHOWN_NAMES else ""

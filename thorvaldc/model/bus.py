@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
 
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import quantities as si
@@ -31,7 +30,6 @@ FLOAT32_MAX = (2.0 - 2.0**-23) * 2.0**127
 """Largest finite number of IEEE 754 with 32 bits."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Signal(Element):
     """A little-endian field of a CAN frame: physical value = raw value * scale + offset.
 
@@ -74,7 +72,6 @@ class Signal(Element):
         return 0, (1 << self.length) - 1
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FrameDefinition(Element):
     """The definition of a CAN frame with an 11-bit identifier: signals, nodes and timing.
 
@@ -115,7 +112,6 @@ class FrameDefinition(Element):
     synchronous: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Channel(Element):
     """A channel of a motor controller.
 
@@ -128,7 +124,6 @@ class Channel(Element):
     actuator: str | None
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ObjectValue(Element):
     """An object dictionary entry of a CANopen node, with the required value of the entry.
 
@@ -148,7 +143,6 @@ class ObjectValue(Element):
     access: str = "rw"
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Node(Element):
     """A device on a CAN bus.
 
@@ -212,7 +206,6 @@ class Node(Element):
         return self.device_type is not None and self.device_type & 0xFFFF == CIA_402
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Bus(Element):
     """A CAN bus with its nodes and its CAN frames.
 

@@ -3,8 +3,6 @@ in SI units."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from thorvaldc.model import quantities as si
 from thorvaldc.model.element import Element
 from thorvaldc.model.robot import Robot
@@ -12,7 +10,6 @@ from thorvaldc.model.shapes import Shape
 from thorvaldc.model.spatial import Pose
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Placement(Element):
     """A robot of a fleet.
 
@@ -29,7 +26,6 @@ class Placement(Element):
         return f"<Placement {self.name}: {self.robot.name} at ({x:g}, {y:g}, {z:g}) m>"
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Ground(Element):
     """The ground on which the robots of a scene drive. The poses of the robots are relative to the
     ground plane z = 0.
@@ -51,7 +47,6 @@ class Ground(Element):
     size: tuple[si.Metres, si.Metres] = (30.0, 30.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Zone(Element):
     """A rectangular zone of the ground, whose centre has the pose ``pose``.
 
@@ -90,7 +85,6 @@ class Zone(Element):
         return all(abs(local[i]) <= self.size[i] / 2 + margin for i in range(2))
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Block(Element):
     """A fixed body of the scene.
 
@@ -106,7 +100,6 @@ class Block(Element):
     pose: Pose
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class World(Element):
     """The surroundings of the robots: the ground, fixed bodies and zones of the ground.
 
@@ -119,7 +112,6 @@ class World(Element):
     zones: tuple[Zone, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, weakref_slot=True, eq=False, repr=False)
 class Fleet(Element):
     """Several robots in one scene, in the order of the fleet file.
 

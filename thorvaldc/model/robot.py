@@ -9,7 +9,6 @@ of the robot model.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from thorvaldc.diagnostics import DiagnosticError, Span
 from thorvaldc.model import quantities as si
@@ -29,7 +28,6 @@ from thorvaldc.model.spatial import Inertial, Pose, Vec3
 # -- modules: the types of the module library that the robot consists of ----------------
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class SourcedMass(Element):
     """The mass of all parts of a module whose numbers have the same source.
 
@@ -42,7 +40,6 @@ class SourcedMass(Element):
     source: str
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Purchase(Element):
     """What a module costs and how long its delivery takes, as far as the files state it.
 
@@ -61,7 +58,6 @@ class Purchase(Element):
 NOT_STATED = Purchase(None, "", "", None)
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Module(Element):
     """A module of the robot: one use of a module type that is not an assembly.
 
@@ -87,7 +83,6 @@ class Module(Element):
 # -- links and joints -------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Link(Element):
     """A rigid body.
 
@@ -109,7 +104,6 @@ class Link(Element):
         return f"<Link {self.name}: {mass}>"
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Mimic(Element):
     """A mimic joint, whose position depends on another joint: q = multiplier * q_joint + offset."""
 
@@ -118,7 +112,6 @@ class Mimic(Element):
     offset: si.JointPosition
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Joint(Element):
     """A joint between two links.
 
@@ -164,7 +157,6 @@ class Joint(Element):
         return f"<Joint {self.name}: {self.type}, {self.parent} to {self.child}>"
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class JointServo(Element):
     """A servo on a joint of an extra, such as an arm.
 
@@ -184,7 +176,6 @@ class JointServo(Element):
 # -- wheels and devices -------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Tread(Element):
     """A ring beside the tyre of a wheel, with which the wheel rolls on rails.
 
@@ -200,7 +191,6 @@ class Tread(Element):
     flange: si.Metres
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Wheel(Element):
     """A wheel of the robot, with positions and angles in ``base_link`` when every joint is at
     position 0.
@@ -279,7 +269,6 @@ class Wheel(Element):
         return dict(self.radii).get(name, self.radius) if name else self.radius
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Brake(Element):
     """A spring-applied brake of a motor: current opens it, and without current it is closed.
 
@@ -298,7 +287,6 @@ A larger steering offset is an error of the homing, which a calibration cannot c
 """
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Actuator(Element):
     """A motor with its gear on a joint.
 
@@ -349,7 +337,6 @@ class Actuator(Element):
         return self.encoder_ppr * self.gear_ratio
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Sensor(Element):
     """A sensor of the robot.
 
@@ -370,7 +357,6 @@ PARALLEL, SEPARATE = "parallel", "separate"
 """Values of ``Robot.battery_connection``."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Battery(Element):
     """A battery enclosure of the robot.
 
@@ -391,7 +377,6 @@ class Battery(Element):
 # -- the robot --------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, weakref_slot=True, eq=False, repr=False)
 class Robot(Element):
     """A whole robot.
 

@@ -6,18 +6,18 @@ All values are in SI units.
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import Fleet
+from thorvaldc.model.element import Element
 
 GROUPS = ("odometry", "truth", "twist", "joints")
 """Names of the groups of columns that a record of a run can contain."""
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
+class Command(Element):
     """A commanded twist of ``base_link``, valid from ``time`` (s) until the next command.
 
     - ``vx``, ``vy``: forward velocity and velocity to the left in m/s.
@@ -33,8 +33,7 @@ class Command:
     parameters: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class WheelFault:
+class WheelFault(Element):
     """An injected fault of a wheel.
 
     The base driver is not informed about the injected fault. The injected fault is active from the
@@ -59,8 +58,7 @@ class WheelFault:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
-class Noise:
+class Noise(Element):
     """Standard deviations of the random measurement errors of the simulated sensors.
 
     - ``seed``: seed of the random number generator.
@@ -82,8 +80,7 @@ class Noise:
     encoder_counts: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class SensorSettings:
+class SensorSettings(Element):
     """Settings of the simulated sensors (lidar, IMU, GNSS, camera) of all robots.
 
     - ``errors``: factor of the errors that the modules state; 0 for exact measurements.
@@ -100,8 +97,7 @@ class SensorSettings:
     noise: Noise = Noise()
 
 
-@dataclass(frozen=True, slots=True)
-class Expectation:
+class Expectation(Element):
     """The allowed range of a metric of the run, checked for every robot of the scenario.
 
     - ``metric``: name of the metric.
@@ -115,8 +111,7 @@ class Expectation:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
-class Scenario:
+class Scenario(Element):
     """A simulation run with the robots of a fleet in the world of the fleet.
 
     - ``duration``: duration of the run in s.
@@ -223,8 +218,7 @@ FRAME_FORMATS = ("standard", "extended", "remote")
 """Formats of forged frames: data frames with 11 or 29 bits of identifier, remote frames."""
 
 
-@dataclass(frozen=True, slots=True)
-class BusFault:
+class BusFault(Element):
     """A fault that the simulation injects into a CAN bus.
 
     The injected fault begins ``delay`` s after the simulated time ``time`` (s), or ``delay`` s
@@ -281,8 +275,7 @@ class BusFault:
     format: str = "standard"
 
 
-@dataclass(frozen=True, slots=True)
-class BusFaults:
+class BusFaults(Element):
     """A list of faults to inject into the simulated CAN buses of a robot.
 
     - ``quirks``: quirks of all simulated CANopen devices;

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import keyword
 import re
-from dataclasses import dataclass
 
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import quantities as si
@@ -27,7 +26,6 @@ STOP_PRIORITY = 255
 """Priority of a twist lock from which on the lock is a stop lock, see ``TwistInput``."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class CalculatorChoice(Element):
     """The name of the robot's base calculator and its options. The base calculator is a plug-in
     class that computes joint commands from a twist."""
@@ -36,7 +34,6 @@ class CalculatorChoice(Element):
     options: tuple[tuple[str, Scalar], ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class BatterySettings(Element):
     """Reaction of the base driver to the state of charge of the batteries on the buses.
 
@@ -58,7 +55,6 @@ class BatterySettings(Element):
     silence: si.Seconds = 10.0
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class DriverSettings(Element):
     """Settings of the base driver of a robot.
 
@@ -101,7 +97,6 @@ class DriverSettings(Element):
     homing: str = ON_ARMING
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ParameterSet(Element):
     """A named set of parameters that the driver can select while the robot drives.
 
@@ -116,7 +111,6 @@ class ParameterSet(Element):
     span: Span
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class TwistInput(Element):
     """A source of commanded twists for the twist multiplexer, or a twist lock that blocks sources.
 
@@ -191,7 +185,6 @@ _TAKEN = frozenset(
 _PACKAGE = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class RosSettings(Element):
     """Settings of the ROS 2 package of the robot.
 

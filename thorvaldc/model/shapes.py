@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from thorvaldc.model import quantities as si
 from thorvaldc.model.element import Element
 from thorvaldc.model.spatial import Pose, Vec3
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Box(Element):
     """A box, centred on the origin of its frame. ``size`` has the full edge lengths of the box
     along x, y and z in m."""
@@ -17,7 +16,6 @@ class Box(Element):
     size: si.Position
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Cylinder(Element):
     """A cylinder along the z axis, centred on the origin of its frame, with radius and full length
     in m."""
@@ -26,14 +24,12 @@ class Cylinder(Element):
     length: si.Metres
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Sphere(Element):
     """A sphere, centred on the origin of its frame, with the radius in m."""
 
     radius: si.Metres
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class MeshShape(Element):
     """A collision or visual shape from a mesh file of the robot.
 
@@ -48,7 +44,6 @@ class MeshShape(Element):
 Shape = Box | Cylinder | Sphere | MeshShape
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Mesh(Element):
     """A mesh file of a build, in the format STL or OBJ.
 
@@ -65,7 +60,6 @@ class Mesh(Element):
     data: bytes = field(default=b"", compare=False, repr=False)
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Visual(Element):
     """A visual shape of a link.
 
@@ -78,7 +72,6 @@ class Visual(Element):
     color: tuple[float, float, float, float]
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Collision(Element):
     """A collision shape of a link. ``pose`` is the pose of the shape in the link frame."""
 

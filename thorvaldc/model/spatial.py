@@ -9,9 +9,9 @@ X_BC``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from thorvaldc.model import quantities as si
+from thorvaldc.model.element import Element
 from thorvaldc.model.sums import float_sum
 
 GRAVITY = 9.81
@@ -155,8 +155,7 @@ def rotate(q: Quat, v: Vec3) -> Vec3:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Pose:
+class Pose(Element):
     """The pose of one frame in another frame.
 
     - ``xyz``: position in m.
@@ -200,8 +199,7 @@ class Pose:
         return Pose(clean3(self.xyz), (clean(q[0]), clean(q[1]), clean(q[2]), clean(q[3])))
 
 
-@dataclass(frozen=True, slots=True)
-class Inertial:
+class Inertial(Element):
     """The mass of a body in kg, its centre of mass ``com`` in m and its inertia in kg m^2.
 
     ``inertia`` contains the moments of inertia ``(ixx, iyy, izz, ixy, ixz, iyz)`` about the centre

@@ -5,11 +5,11 @@ STL and OBJ files are read here, all others by the package trimesh.  A mesh is r
 cannot load it.  The module imports no package of others at its start, because worker processes
 import it.
 
-A request to the worker process (see ``worker_protocol``) has the format of the mesh, the scale, and
-``files``: the name and the size of each file in the data.  The first file is the mesh.  An answer
-is one of
+A request to the worker process (see ``worker_protocol``) has the format of the mesh, the scale,
+``collides`` and ``files``: the name and the size of each file in the data.  The first file is the
+mesh.  An answer is one of
 
-- ``{"suffix": ..., "size": ..., "is_flat": ...}`` with the mesh as data, see ``CheckedMesh``
+- ``{"suffix": ..., "size": ...}`` with the mesh as data, see ``CheckedMesh``
 - ``{"code": ..., "text": ..., "hint": ...}``, see ``MeshError``
 - ``{"needs": name}`` if the mesh refers to a file that is not in the request
 """
@@ -46,7 +46,7 @@ _FLAT = 1e-6
 _SAMPLE = 100  # triangles that decide for most meshes whether they are flat
 
 _FLOAT32 = struct.Struct("<3f")
-_VERTEX = re.compile(rb"(?<!\S)vertex(?!\S)\s*(\S*)\s*(\S*)\s*(\S*)", re.IGNORECASE)
+_VERTEX = rb"(?i)(?<!\S)vertex(?!\S)\s*(\S*)\s*(\S*)\s*(\S*)"
 # The function ``bytes.translate`` tests the last byte of each little-endian float32 with the tables
 # ``_BELOW_HUGE`` and ``_BELOW_8``.  The last byte of a little-endian float32 contains the sign and
 # the upper 7 bits of the exponent.  ``_BELOW_HUGE`` contains the last bytes of float32 numbers with
@@ -78,18 +78,18 @@ class CheckedMesh(NamedTuple):
 
     - ``suffix``: format of the data, ``stl`` or ``obj``.
     - ``size``: largest edge length of the bounding box (m), or 0 if no coordinate exceeds 8 m.
-    - ``is_flat``: whether all points are in a plane.  MuJoCo loads a flat mesh only if it is not
-      used for collisions.
     """
 
     data: bytes
     suffix: str
     size: float
-    is_flat: bool
 
 
-def check_mesh(suffix: str, data: bytes, scale: Vec3) -> CheckedMesh:
+def check_mesh(suffix: str, data: bytes, scale: Vec3, collides: bool) -> CheckedMesh:
     """Checks the content of an STL or OBJ file with the scale of its use.
+
+    MuJoCo loads a mesh with all points in a plane only if it is not used for collisions
+    (``collides``).
 
     The data of the result is binary STL, or OBJ without references to material files.  Raises
     ``MeshError``.
@@ -119,10 +119,12 @@ def check_mesh(suffix: str, data: bytes, scale: Vec3) -> CheckedMesh:
         axes = zip(*itertools.chain.from_iterable(triangles()), strict=True)
         size = max(max(axis) - min(axis) for axis in axes)
     steps = sorted({1, max(1, count // _SAMPLE)}, reverse=True)
-    is_flat = all(
+    if collides and all(
         _is_flat([*dict.fromkeys(itertools.chain.from_iterable(triangles(step)))]) for step in steps
-    )
-    return CheckedMesh(data, suffix, size, is_flat)
+    ):
+        text = "is flat; a collision shape needs a volume"
+        raise MeshError("mesh-flat", text, "use a thin box, or a mesh with a thickness")
+    return CheckedMesh(data, suffix, size)
 
 
 def check_count(triangles: int) -> None:
@@ -191,7 +193,7 @@ def _text_stl(data: bytes) -> tuple[bytes, bool]:
     """Converts a text STL file to binary STL."""
     numbers: list[float] = []
     try:
-        for match in _VERTEX.finditer(data):
+        for match in re.finditer(_VERTEX, data):
             numbers += map(float, match.groups())
     except ValueError as error:
         number = len(numbers) // 3 + 1
@@ -399,16 +401,12 @@ def answer(request: dict[str, Any], data: bytes) -> tuple[dict[str, Any], bytes]
         mesh = files.pop(request["files"][0][0])
         if suffix not in ("stl", "obj"):
             mesh, suffix = checked_stl(_triangles(suffix, mesh, files)), "stl"
-        checked = check_mesh(suffix, mesh, (x, y, z))
+        checked = check_mesh(suffix, mesh, (x, y, z), request["collides"])
     except MeshError as error:
         return {"code": error.code, "text": error.text, "hint": error.hint}, b""
     except _MissingFileError as error:
         return {"needs": str(error)}, b""
-    return {
-        "suffix": checked.suffix,
-        "size": checked.size,
-        "is_flat": checked.is_flat,
-    }, checked.data
+    return {"suffix": checked.suffix, "size": checked.size}, checked.data
 
 
 def _triangles(suffix: str, data: bytes, files: _Files) -> list[tuple[Vec3, Vec3, Vec3]]:

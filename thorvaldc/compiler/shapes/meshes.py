@@ -100,7 +100,7 @@ def load_mesh(
         report.add("mesh-missing", f"mesh file `{display}` does not exist", span, hint=hint)
         return None
     try:
-        mesh, checked = _read(path, status.st_mtime_ns, status.st_size, scale, is_builtin)
+        mesh, checked = _read(path, status.st_mtime_ns, status.st_size, scale, collides, is_builtin)
     except mesh_formats.MeshError as error:
         report.add(error.code, f"mesh file `{display}` {error.text}", span, hint=error.hint)
         return None
@@ -112,14 +112,6 @@ def load_mesh(
             span,
             hint="meshes are in metres; for a mesh in millimetres, set scale 0.001",
         )
-    if collides and checked.is_flat:
-        report.add(
-            "mesh-flat",
-            f"mesh file `{display}` is flat; a collision shape needs a volume",
-            span,
-            hint="use a thin box, or a mesh with a thickness",
-        )
-        return None
     return mesh
 
 
@@ -148,7 +140,7 @@ _workers: ContextVar[dict[bool, Worker] | None] = ContextVar("mesh workers", def
 
 @functools.lru_cache(maxsize=512)
 def _read(
-    path: Path, mtime_ns: int, size: int, scale: Vec3, is_builtin: bool
+    path: Path, mtime_ns: int, size: int, scale: Vec3, collides: bool, is_builtin: bool
 ) -> tuple[Mesh, mesh_formats.CheckedMesh]:
     """Reads, checks and converts a mesh file.
 
@@ -165,9 +157,9 @@ def _read(
         raise mesh_formats.MeshError("mesh-invalid", text, "fetch it: git lfs pull")
     suffix = path.suffix.lower().lstrip(".")
     if is_builtin and suffix not in CONVERTED:
-        checked = mesh_formats.check_mesh(suffix, data, scale)
+        checked = mesh_formats.check_mesh(suffix, data, scale, collides)
     else:
-        checked = _read_in_worker(path, suffix, data, scale)
+        checked = _read_in_worker(path, suffix, data, scale, collides)
     digest = hashlib.sha256(checked.data).hexdigest()
     stem = re.sub(r"[^A-Za-z0-9_-]+", "_", path.stem).strip("_") or "mesh"
     return Mesh(f"{stem}_{digest[:8]}.{checked.suffix}", digest, checked.data), checked
@@ -183,7 +175,9 @@ def _content(path: Path) -> bytes:
         ) from error
 
 
-def _read_in_worker(path: Path, suffix: str, data: bytes, scale: Vec3) -> mesh_formats.CheckedMesh:
+def _read_in_worker(
+    path: Path, suffix: str, data: bytes, scale: Vec3, collides: bool
+) -> mesh_formats.CheckedMesh:
     """Reads a mesh in a worker process, with the files that it refers to."""
     from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError
 
@@ -199,6 +193,7 @@ def _read_in_worker(path: Path, suffix: str, data: bytes, scale: Vec3) -> mesh_f
         request = {
             "format": suffix,
             "scale": scale,
+            "collides": collides,
             "files": [(name, len(content)) for name, content in files.items()],
         }
         with shared_mesh_workers() as workers:

@@ -154,7 +154,7 @@ _TOKENS = re.compile(
     )""",
     re.VERBOSE,
 )
-_LAST_FACTOR = re.compile(r"(?:\s*/\s*|\s*[·⋅]\s*|\s+)[^\s/·⋅]+$")
+_LAST_FACTOR = r"(?:\s*/\s*|\s*[·⋅]\s*|\s+)[^\s/·⋅]+$"
 _HINTS = {
     "=": "a comparison is `==`",
     "^": "a power is `**`",
@@ -235,10 +235,11 @@ def _make_number(match: re.Match[str]) -> Token:
         digits = literal.removesuffix(unit)
         # The last factors after a number may be names of values instead of units, such as `count`
         # in the expression `20 mm / count`.
-        while not _is_unit(unit) and (factor := _LAST_FACTOR.search(unit, 1)):
+        while not _is_unit(unit) and (factor := re.compile(_LAST_FACTOR).search(unit, 1)):
             unit = unit[: factor.start()]
         literal = digits + unit
-        divisors = tuple(re.findall(rf"/\s*({_WORD})(?=[\s/·⋅]|$)", unit))
+        if "/" in unit:
+            divisors = tuple(re.findall(rf"/\s*({_WORD})(?=[\s/·⋅]|$)", unit))
     try:
         value, dimension = units.parse_with_dimension(literal)
     except units.UnitError as error:

@@ -88,12 +88,12 @@ def describe_node(node: Node) -> str:
 
 def whole_number_hint(node: Node) -> Proposal | None:
     """Returns the hint for a whole number with a unit, such as ``1024 ppr``, or ``None``."""
-    if isinstance(node.value, str) and (match := _WITH_UNIT.fullmatch(node.value)):
+    if isinstance(node.value, str) and (match := re.fullmatch(_WITH_UNIT, node.value)):
         return Proposal(f"write `{match[1]}`: this number has no unit", match[1])
     return None
 
 
-_WITH_UNIT = re.compile(r"([-+]?[0-9]+) *[A-Za-z]\w*")
+_WITH_UNIT = r"([-+]?[0-9]+) *[A-Za-z]\w*"
 
 # -- unquoted scalars -------------------------------------------------------------
 
@@ -229,7 +229,7 @@ def key_kind(text: str) -> str | None:
 # -- text of a YAML document, for hints that propose a change ----------------------
 
 # Texts that need no quotes in a YAML flow mapping, such as `frame.front_left`, `650 mm` or `42:1`.
-_NEEDS_NO_QUOTES = re.compile(r"(?!.*:(\s|$))[\w.+/-][\w.,:;+*/^%° ()'=-]*", re.ASCII)
+_NEEDS_NO_QUOTES = r"(?a)(?!.*:(\s|$))[\w.+/-][\w.,:;+*/^%° ()'=-]*"
 
 
 def yaml_text(value: object) -> str:
@@ -241,7 +241,7 @@ def yaml_text(value: object) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(map(yaml_text, value)) + "]"
     if isinstance(value, str):
-        plain = "," not in value and _NEEDS_NO_QUOTES.fullmatch(value) and is_plain_text(value)
+        plain = "," not in value and re.fullmatch(_NEEDS_NO_QUOTES, value) and is_plain_text(value)
         return value if plain else json.dumps(value, ensure_ascii=False)
     return str(value)
 
@@ -287,8 +287,8 @@ def removal(hint: str, mapping: Node, key: str) -> Proposal | str:
 
 # -- values that a comma has split -----------------------------------------------
 
-_ELEMENT = re.compile(r"[+-]?\d[\w.+-]*( ?[A-Za-z°%][\w/^]*)?")
-_DECIMALS = re.compile(r"\d+(\s*[A-Za-z°%].*)?")
+_ELEMENT = r"[+-]?\d[\w.+-]*( ?[A-Za-z°%][\w/^]*)?"
+_DECIMALS = r"\d+(\s*[A-Za-z°%].*)?"
 
 
 def join_split_values(values: dict[str, Node], report: Report) -> dict[str, Node]:
@@ -308,7 +308,7 @@ def join_split_values(values: dict[str, Node], report: Report) -> dict[str, Node
             continue
         span = Span(last.span.file, *last.span[1:3], *node.key_span[3:5])
         is_adjacent = node.key_span[1:3] == (last.span.end_line, last.span.end_column + 1)
-        if isinstance(last.value, int) and is_adjacent and _DECIMALS.fullmatch(key):
+        if isinstance(last.value, int) and is_adjacent and re.fullmatch(_DECIMALS, key):
             text = f"{last.value}.{key}"
             report.add(
                 "bad-quantity",
@@ -319,7 +319,7 @@ def join_split_values(values: dict[str, Node], report: Report) -> dict[str, Node
             result[last_key] = Node(text, span, last.key_span)
         elif isinstance(last.value, str) and last.value.startswith("(") and not last.quoted:
             result[last_key] = Node(f"{last.value}, {key}", span, last.key_span)
-        elif not is_adjacent and _is_element(last) and _ELEMENT.fullmatch(key):
+        elif not is_adjacent and _is_element(last) and re.fullmatch(_ELEMENT, key):
             element = Node(plain_scalar(key, node.key_span, report), node.key_span)
             elements = lists.setdefault(last_key, [last])
             elements.append(element)
@@ -341,4 +341,4 @@ def _is_element(node: Node) -> bool:
     """Returns whether a value is a number or a quantity, or the start of a list of them."""
     if isinstance(node.value, tuple):
         return True
-    return not isinstance(node.value, bool) and bool(_ELEMENT.fullmatch(str(node.value)))
+    return not isinstance(node.value, bool) and bool(re.fullmatch(_ELEMENT, str(node.value)))

@@ -85,14 +85,14 @@ def compose(
     return root
 
 
-_COLON_WITHOUT_SPACE = re.compile(r"([a-z_][a-z0-9_]*):(\S.*)")
+_COLON_WITHOUT_SPACE = r"([a-z_][a-z0-9_]*):(\S.*)"
 _EMPTY_HINT = "a document starts with `thorvaldc: 1`"
 
 
 # -- robot descriptions in XML in place of YAML -------------------------------------
 
 _START = re.compile(rb"(?:\xef\xbb\xbf)?\s*<(?:[?!]|\w+[\s/>])")
-_ROOT = re.compile(rb"<(robot|sdf|mujoco)[\s/>]")
+_ROOT = rb"<(robot|sdf|mujoco)[\s/>]"
 _HEAD = 100_000  # bytes in which the root element is searched; comments can stand before it
 _AUDIT = "`thorvaldc audit DIR` checks the files of any robot"
 _KINDS = {b"robot": "a URDF file", b"sdf": "an SDF file", b"mujoco": "an MJCF file"}
@@ -107,7 +107,7 @@ def report_xml(data: bytes, file: str, report: Report) -> bool:
     start = _START.match(data)
     if start is None:
         return False
-    root = _ROOT.search(data, 0, _HEAD)
+    root = re.search(_ROOT, data[:_HEAD])
     name = root[1] if root is not None else b""
     hint = _AUDIT
     if name == b"robot":
@@ -187,13 +187,13 @@ def _decode(data: bytes, file: str, report: Report) -> str | None:
     return text
 
 
-_LINE_BREAK = re.compile(r"\r\n|\r|\n")
+_LINE_BREAK = r"\r\n|\r|\n"
 
 
 def _span_at(text: str, index: int, file: str) -> Span:
     """Returns the source span of the character at position ``index`` (from 0) of a text."""
     line, start = 1, 0
-    for line_break in _LINE_BREAK.finditer(text, 0, index):
+    for line_break in re.finditer(_LINE_BREAK, text[:index]):
         line, start = line + 1, line_break.end()
     column = index - start + 1
     return Span(file, line, column, line, column + 1)
@@ -415,7 +415,7 @@ class _Reader:
 
         Returns the most likely key and value of the entry.
         """
-        match = _COLON_WITHOUT_SPACE.fullmatch(key)
+        match = re.fullmatch(_COLON_WITHOUT_SPACE, key)
         if match is None or raw_key.style or value.value is not None:
             return key, value
         span = self._span(raw_key)

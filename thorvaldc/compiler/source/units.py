@@ -121,8 +121,9 @@ _NUMBER_BEFORE_UNIT = re.compile(
 )
 _QUOTIENT = re.compile(r"/\s*(\d+(?:\.\d*)?)\s*([^\d/].*)?")
 _RATIO_IN_WORDS = re.compile(r"to\s*(\d+(?:\.\d+)?)")
-_SEPARATED = re.compile(r"([+-]?\d+)([,._' ])(\d+)(?![,._'\d])(.*)")
-_OTHER_BRACES = re.compile(r"\$\{([^{}]+)|\{\{([^{}]+)\}\}|\$([a-z_]\w*)")  # of other tools
+# Patterns that only an error needs are texts: ``re`` compiles them at their first use.
+_SEPARATED = r"([+-]?\d+)([,._' ])(\d+)(?![,._'\d])(.*)"
+_OTHER_BRACES = r"\$\{([^{}]+)|\{\{([^{}]+)\}\}|\$([a-z_]\w*)"  # of other tools
 _SECOND_NUMBER = re.compile(r"(?!1\s*/)[,._']?\d")
 
 
@@ -144,7 +145,7 @@ def _parse(text: str, kind: Quantity | None) -> tuple[float, Unit | None]:
     if number is None:
         if not stripped:
             raise UnitError("the text is empty; expected a quantity", example)
-        braces = _OTHER_BRACES.fullmatch(stripped)
+        braces = re.fullmatch(_OTHER_BRACES, stripped)
         if braces is not None:
             text = f'"${{{(braces[1] or braces[2] or braces[3]).strip()}}}"'
             raise UnitError(
@@ -233,7 +234,7 @@ def _quotient_hint(number: str, quotient: re.Match[str], kind: Quantity | None) 
 def _separator_hint(text: str) -> str:
     """Returns the hint for a number with separators, such as ``10,5 deg`` or ``1_500 mm``."""
     hint = "write digits without separators and `.` as decimal point"
-    separated = _SEPARATED.fullmatch(text)
+    separated = re.fullmatch(_SEPARATED, text)
     if separated is None:
         return f"{hint}, as in `1500.5 mm`"
     whole, separator, decimals, unit = separated.groups()
@@ -456,7 +457,7 @@ def _raise_error(text: str, part: str) -> NoReturn:
     raise UnitError(f"unknown unit `{_shorten(name)}`", _unit_hint(name), unknown=name)
 
 
-_JOINED = re.compile(r"(kg|g|kN|mN|N)(m|mm|cm|s|ms)")  # such as `kgm^2` without a space
+_JOINED = r"(kg|g|kN|mN|N)(m|mm|cm|s|ms)"  # such as `kgm^2` without a space
 
 
 def _one_letter_off(name: str, units: Iterable[str]) -> str | None:
@@ -486,7 +487,7 @@ def _unit_hint(name: str, kind: Quantity | None = None) -> str | None:
     for known in common:
         if known.casefold() == name.casefold():
             return Proposal(f"did you mean `{known}`?", known, word=name)
-    joined = _JOINED.fullmatch(name)
+    joined = re.fullmatch(_JOINED, name)
     if joined:
         spaced = f"{joined[1]} {joined[2]}"
         return Proposal(f"put a space between units: `{spaced}`", spaced, word=name)

@@ -166,7 +166,7 @@ def _expression_error(kind: Kind) -> UnitError:
 
 # -- kinds of documents -----------------------------------------------------------
 
-_TOP_LEVEL_KEY = re.compile(r"^(?:\{\s*)?[\"']?([A-Za-z_]\w*)[\"']?[ \t]*:(?=\s|$)", re.MULTILINE)
+_TOP_LEVEL_KEY = r"(?m)^(?:\{\s*)?[\"']?([A-Za-z_]\w*)[\"']?[ \t]*:(?=\s|$)"
 _NO_KIND = frozenset(["thorvaldc_lock", "motor_drives"])
 _KEYS_OF_KINDS: tuple[tuple[Kind, frozenset[str]], ...] = (
     ("study", frozenset(["study", "objectives", "samples"])),
@@ -193,7 +193,7 @@ def kind_of(text: str, file_name: str) -> Kind | None:
     Returns ``None`` if the document is not one of thorvaldc: a document has the key ``thorvaldc``
     or a file name of the language, such as ``robot.yaml``.
     """
-    keys = set(_TOP_LEVEL_KEY.findall(text[:1_000_000]))
+    keys = set(re.findall(_TOP_LEVEL_KEY, text[:1_000_000]))
     by_name = _FILE_NAMES.get(file_name)
     if keys & _NO_KIND or ("thorvaldc" not in keys and by_name is None):
         return None

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 from thorvaldc.model import Actuator, Battery, Bus, Channel, Node, Robot, Scalar
 from thorvaldc.model import quantities as si
+from thorvaldc.model.element import Element
 from thorvaldc.model.sums import float_sum
 
 
-@dataclass(frozen=True, slots=True)
-class Address:
+class Address(Element):
     """A node on a bus and its address.
 
     - ``bus``, ``name``, ``module``, ``protocol``: as in the model.
@@ -34,8 +33,7 @@ class Address:
     label: str
 
 
-@dataclass(frozen=True, slots=True)
-class BusFacts:
+class BusFacts(Element):
     """A CAN bus.
 
     - ``bitrate``: bit rate in bit/s.
@@ -54,8 +52,7 @@ class BusFacts:
     addresses: tuple[Address, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Wire:
+class Wire(Element):
     """A motor with its encoder, and the channel of the motor controller that it is wired to.
 
     - ``motor``, ``role``, ``joint``, ``gear_ratio``, ``encoder_ppr``, ``max_torque`` and
@@ -158,8 +155,7 @@ POWER = "power"
 """Property of a sensor or node: electrical power in W that it draws while the robot is on."""
 
 
-@dataclass(frozen=True, slots=True)
-class BatteryFacts:
+class BatteryFacts(Element):
     """A battery enclosure.
 
     - ``present``: true if a battery is in the enclosure.
@@ -176,8 +172,7 @@ class BatteryFacts:
     energy: si.Joules | None
 
 
-@dataclass(frozen=True, slots=True)
-class Energy:
+class Energy(Element):
     """Energy and range of a robot on level ground.
 
     - ``energy``: energy of all batteries in J, or ``None`` if a module does not state it or the

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from thorvaldc.model import Purchase, Robot, SourcedMass
 from thorvaldc.model import quantities as si
-from thorvaldc.model.element import once_per_model
+from thorvaldc.model.element import Element, once_per_model
 from thorvaldc.model.robot import NOT_STATED
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.sums import float_sum
@@ -15,8 +14,7 @@ from thorvaldc.model.sums import float_sum
 NO_SOURCE = "no source stated"
 
 
-@dataclass(frozen=True, slots=True)
-class MassShare:
+class MassShare(Element):
     """The part of the robot's mass whose numbers have a source of one kind.
 
     - ``source``: first word of the source, such as ``datasheet``, ``measured`` or ``estimated``;
@@ -30,8 +28,7 @@ class MassShare:
     share: si.Number
 
 
-@dataclass(frozen=True, slots=True)
-class ModuleMass:
+class ModuleMass(Element):
     """The mass of a module.
 
     - ``module``: path of the module; empty for links that belong to no module.
@@ -47,8 +44,7 @@ class ModuleMass:
     sources: tuple[SourcedMass, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class BillRow:
+class BillRow(Element):
     """Modules of one type and mass.
 
     - ``type``: module type, or the path of an extra.
@@ -135,8 +131,7 @@ def bill_of(modules: Iterable[ModuleMass]) -> tuple[BillRow, ...]:
 # -- what the modules of a robot cost, and how long their delivery takes ------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class PurchaseItem:
+class PurchaseItem(Element):
     """Modules of one type with the same price, supplier and lead time.
 
     - ``type``: module type, or the path of an extra (a URDF or xacro file).
@@ -159,8 +154,7 @@ class PurchaseItem:
     modules: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class PurchaseFacts:
+class PurchaseFacts(Element):
     """Price and lead time of a robot.
 
     - ``price``: sum of the prices in ``currency``, or ``None`` for the reason ``no_price``.

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import Any
 
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
-from thorvaldc.model.element import once_per_model
+from thorvaldc.model.element import Element, once_per_model
 from thorvaldc.model.facts import electrics, masses
 from thorvaldc.model.facts import stability as standing_facts
 from thorvaldc.model.facts.driving import Driving, Slopes, driving_of, slopes_of
@@ -18,8 +17,7 @@ from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.slope import StandingSlopes, standing_slopes
 
 
-@dataclass(frozen=True, slots=True)
-class RobotFacts:
+class RobotFacts(Element):
     """Facts about a robot, in SI units and angles in rad, with all joints at position 0.
 
     - ``mass``: mass of the robot in kg.

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
-from thorvaldc.model.element import once_per_model
+from thorvaldc.model.element import Element, once_per_model
 from thorvaldc.model.spatial import GRAVITY, clean
 from thorvaldc.model.statics.standing import standing_of
 from thorvaldc.model.statics.static_loads import maximize
@@ -16,8 +15,7 @@ from thorvaldc.model.statics.tip_over import Support, support_of
 from thorvaldc.model.sums import float_sum
 
 
-@dataclass(frozen=True, slots=True)
-class SoilLoad:
+class SoilLoad(Element):
     """The largest load and pressure of a wheel on level ground.
 
     The nominal ground pressure of a wheel is its load over the product of its radius and width. It
@@ -136,8 +134,7 @@ POLAR_STEPS = 72
 """Number of directions in ``Stability.polar``, 5 degrees apart."""
 
 
-@dataclass(frozen=True, slots=True)
-class WheelLoad:
+class WheelLoad(Element):
     """A wheel and its load on level ground.
 
     - ``name``, ``module``: name of the wheel, and path of its module.
@@ -163,8 +160,7 @@ class WheelLoad:
     steered: bool
 
 
-@dataclass(frozen=True, slots=True)
-class TipOver:
+class TipOver(Element):
     """The angle in rad at which the robot tips over on ground that falls in a direction.
 
     ``direction`` is in rad from x (forward) to y (left) in ``base_link``.
@@ -174,8 +170,7 @@ class TipOver:
     angle: si.Radians
 
 
-@dataclass(frozen=True, slots=True)
-class Stability:
+class Stability(Element):
     """Whether a robot stands, and the angles at which it tips over.
 
     ``model.statics.tip_over`` derives the angles and states the assumptions.
