@@ -176,6 +176,7 @@ def test_the_editor_proposes_keys_and_types(visit: Visit) -> None:
     assert "type: caster/swivel" in page.evaluate("editor.text")
 
 
+@pytest.mark.slow
 def test_driving_while_another_part_is_typed(visit: Visit) -> None:
     page = visit()
     page.click("#drive")
@@ -227,6 +228,7 @@ def open_example(page: Page, name: str) -> None:
     wait_until(page, lambda: page.evaluate("origin") == name and version(page) != before)
 
 
+@pytest.mark.slow
 def test_every_example_has_the_files_of_a_native_build(visit: Visit) -> None:
     page = visit()
     names = page.eval_on_selector_all("#example option", "all => all.map((o) => o.value)")[1:]
@@ -252,6 +254,7 @@ def open_files(page: Page, files: dict[str, bytes]) -> None:
     wait_until(page, lambda: version(page) != before)
 
 
+@pytest.mark.slow
 def test_own_files_and_a_link_to_them(visit: Visit, tmp_path: Path) -> None:
     page = visit()
     files = robot_with_meshes()
@@ -273,6 +276,7 @@ def test_own_files_and_a_link_to_them(visit: Visit, tmp_path: Path) -> None:
     assert built(other) == native
 
 
+@pytest.mark.slow
 def test_a_link_that_cannot_be_read_opens_an_example(visit: Visit) -> None:
     for fragment in ("#robot=AAAA", "#robot=%", "#robot=", "#example=none", "#x"):
         page = visit(fragment)
@@ -288,6 +292,7 @@ HUNGRY = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", HUNGRY)
 def test_a_file_that_takes_too_much_ends_and_the_page_goes_on(visit: Visit, fault: str) -> None:
     page = visit()
