@@ -25,7 +25,6 @@ from thorvaldc.model.sums import float_sum
 
 # Largest gap (m) between a wheel and the ground that suspensions and tyres compensate.
 WHEEL_OFF_GROUND = 2e-3
-
 TOUCHING = 1e-6  # Overlap (m) of two wheels that touch each other.
 
 SMALLEST_SIZE, LARGEST_SIZE = 0.1, 20.0

@@ -34,6 +34,8 @@ class _FieldsAtFirstUse:
     """The attribute ``__dataclass_fields__``, which the functions of ``dataclasses`` read."""
 
     def __get__(self, instance: object, owner: Any) -> Any:
+        if not owner._names:
+            return {}  # `Element` itself
         kept = {name: vars(owner)[name] for name in ("__annotations__", "__doc__", "__module__")}
         described: Any = type(owner.__name__, (), kept | owner._defaults)
         dataclasses.dataclass(init=False, repr=False, eq=False)(described)

@@ -83,7 +83,6 @@ class MujocoScene:
         self._mujoco = mujoco
         self.model = model
         self.data = mujoco.MjData(model)
-        self._speeds = self.data.qvel  # a view; MuJoCo never moves the arrays of a scene
         self.timestep = float(self.model.opt.timestep)
         self.sensors: Any = None
         # By default, MuJoCo resets a diverged simulation to the start without an error.
@@ -138,7 +137,7 @@ class MujocoScene:
         """Counts simulation steps that were run, and notes whether the simulation diverged."""
         self.steps += steps
         squares = 0.0
-        for speed in self._speeds.tolist():
+        for speed in self.data.qvel.tolist():
             squares += speed * speed
         # A joint speed that becomes nan stays nan, so that a test after the last simulation step is
         # enough.  A comparison with nan is false, so that `not <` also detects nan.
