@@ -32,8 +32,8 @@ def with_driver(robot: Robot, **changes: Any) -> Robot:
 class Operators:
     """A robot on ideal joints with the twists that programs hold; ``None`` is silence."""
 
-    def __init__(self, robot: Robot = ROBOT) -> None:
-        self.robot = DrivenRobot(robot, SimBase(robot), factor=0.0)
+    def __init__(self, robot: Robot = ROBOT, base: SimBase | None = None) -> None:
+        self.robot = DrivenRobot(robot, base or SimBase(robot), factor=0.0)
         self.held: dict[str, Twist | None] = {}
 
     def run(self, seconds: float) -> float:

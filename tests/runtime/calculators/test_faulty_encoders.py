@@ -11,7 +11,7 @@ from bench.faulty_encoders import FAULTS, robots, study
 from tests.conformance.wheels import wheel
 from tests.runtime.calculators.test_wheel_rejection import FOUR, MOTIONS, joints
 from tests.runtime.can_base.simulated_rig import FORWARD
-from tests.runtime.test_driven_robot import Operators
+from tests.runtime.test_driven_robot import ROBOT, Operators
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry
 from thorvaldc.runtime.calculators.differential import Differential
@@ -19,6 +19,7 @@ from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimator
 from thorvaldc.runtime.odometry import Odometry
 from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.physics.sim_base import SimBase
 
 ROBOTS = robots()
 THREE = list(ROBOTS["3 steered"].wheels)
@@ -124,20 +125,25 @@ def test_odometry_warns_of_lasting_faults_only() -> None:
     assert "w0, w1, w2 may be wrong" in doubted
 
 
+class DyingEncoders(SimBase):
+    """Ideal joints, of which three encoders of four die."""
+
+    are_dead = False
+
+    def read(self, now: float) -> JointStates:
+        states = super().read(now)
+        if not self.are_dead:
+            return states
+        return replace(states, speeds=[*states.speeds[:1], 0.0, 0.0, 0.0], positions=None)
+
+
 def test_the_state_of_a_robot_shows_the_warnings() -> None:
-    """Three encoders of four die while the robot drives; the ideal base itself is healthy."""
-    operators = Operators()
+    base = DyingEncoders(ROBOT)
+    operators = Operators(ROBOT, base)
     operators.drive()
     robot = operators.robot
     assert robot.state()["warnings"] == []
-    read = robot.base.read
-
-    def dead(now: float) -> JointStates:
-        states = read(now)
-        speeds = [*states.speeds[:1], 0.0, 0.0, 0.0]
-        return replace(states, speeds=speeds, positions=None)
-
-    robot.driver.base.read = dead  # type: ignore[method-assign]
+    base.are_dead = True
     operators.run(3.0)
     (warning,) = robot.state()["warnings"]
     assert warning.startswith("odometry: left out")
