@@ -220,6 +220,28 @@ def test_a_frozen_process_is_a_gap_of_buses_that_keep_to_real_time(
     machine.robot.shutdown()
 
 
+@pytest.mark.parametrize(("waited", "counts"), [(0.1, True), (0.9, False), (3600.0, False)])
+def test_a_zero_twist_from_a_gap_does_not_count_after_it(waited: float, counts: bool) -> None:
+    """The middleware delivers it late, on a busy computer; an hour is a clock that is wrong."""
+    machine = Machine()
+    machine.run(0.1)
+    machine.robot.call("arm")
+    machine.drive()
+    machine.time += 2.0  # the process was frozen
+    machine.run(0.8)
+    inputs = TwistInputs(
+        machine.robot.driver.robot, {"max_command_age": 0.5, "max_command_lead": 0}
+    )
+    zero = SimpleNamespace(x=0.0, y=0.0, z=0.0)
+    message = SimpleNamespace(linear=zero, angular=zero)
+    inputs.publish(machine.robot, SOURCE, message, "", waited=waited)
+    assert (inputs.refused == {}) == counts
+    assert (machine.run(1.0, FORWARD) > 0.0) == counts
+    machine.run(10.0)
+    inputs.publish(machine.robot, SOURCE, message, "", waited=waited)
+    assert machine.run(1.0, FORWARD) > 0.0
+
+
 def test_refused_twists_are_counted_with_the_newest_reason() -> None:
     machine = Machine()
     values = {"max_command_age": 0.5, "max_command_lead": 0.1}

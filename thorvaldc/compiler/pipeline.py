@@ -134,7 +134,8 @@ def compile_robot(source: SourceFile, library: Sequence[Path], trust: bool = Fal
     lock_file = ""
     if _module_names(document):
         lock = read_robot_lock(source, compilation, report)
-        modules = Library(library_folders_of(document, source.path.parent, library, report))
+        folder = source.path.parent
+        modules = Library(library_folders_of(document, folder, library, report), folder)
         resolver = Resolver(modules, report)
         invalid_modules = sorted(_module_names(source.document) - _module_names(document))
         instance = resolver.resolve(document, invalid_modules)

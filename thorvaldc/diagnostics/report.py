@@ -395,11 +395,11 @@ def _merged(group: list[Diagnostic]) -> Diagnostic:
 # -- hints for misspelled words ---------------------------------------------------------
 
 
-def nearest(word: str, known: Iterable[str]) -> str | None:
+def nearest(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
     """Returns the known word most similar to ``word``, or ``None`` if no word is similar.
 
     The comparison of words ignores upper and lower case.  The comparison of words treats the
-    characters ``-``, ``_`` and space as equal.
+    characters ``-``, ``_`` and space as equal.  ``cutoff``: least similarity, 1 for equal words.
     """
     candidates = list(dict.fromkeys(known))
     by_normal = {_normal(candidate): candidate for candidate in reversed(candidates)}
@@ -410,7 +410,7 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
         return None
     import difflib
 
-    close = difflib.get_close_matches(normal, list(by_normal), n=1, cutoff=0.6)
+    close = difflib.get_close_matches(normal, list(by_normal), n=1, cutoff=cutoff)
     return by_normal[close[0]] if close else None
 
 

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import math
@@ -85,16 +86,27 @@ class GuardedLifecycleNode(LifecycleNode):  # type: ignore[misc]
         return answer
 
     def create_subscription(
-        self, kind: Any, topic: str, callback: Any, *rest: Any, **options: Any
+        self, kind: Any, topic: str, callback: Any, *rest: Any, timed: bool = False, **options: Any
     ) -> Any:
+        """Creates a subscription.
+
+        ``timed``: the callback also takes the time (s) at which the message was published, by the
+        clock of the other computer, or ``None`` if the middleware does not know it.
+        """
+
         # Overridden for the subscription to /clock too, which rclpy creates with `use_sim_time`.
-        def take(message: Any) -> None:
+        def take(message: Any, *time_sent: float | None) -> None:
             try:
-                callback(message)
+                callback(message, *time_sent)
             except Exception as error:
                 self.message_failed(self._logged(f"a message on {topic}", error))
 
-        return super().create_subscription(kind, topic, take, *rest, **options)
+        # rclpy gives the information to a function with two parameters.
+        def take_timed(message: Any, info: Any) -> None:
+            take(message, info["source_timestamp"] * 1e-9 or None)
+
+        taking = take_timed if timed else take
+        return super().create_subscription(kind, topic, taking, *rest, **options)
 
     def _logged(self, cause: str, error: Exception) -> str:
         reason = f"{cause} failed: {' '.join(str(error).split()) or type(error).__name__}"
@@ -323,15 +335,13 @@ class BaseDriverNode(GuardedLifecycleNode):
             self.get_logger().warning(
                 "tf2_msgs is not installed: the transform from odom to base_link is not published"
             )
+        stamped = self.values["stamped"]
         twist, callback = TwistMessage, self._on_twist
-        if self.values["stamped"]:
+        if stamped:
             twist, callback = TwistStamped, self._on_stamped_twist
         for source in model.twist_sources:
-            add(
-                self.create_subscription(
-                    twist, source.topic, lambda m, name=source.name: callback(name, m), 1
-                )
-            )
+            take = functools.partial(callback, source.name)
+            add(self.create_subscription(twist, source.topic, take, 1, timed=not stamped))
         for lock in model.twist_locks:
             add(
                 self.create_subscription(
@@ -411,8 +421,9 @@ class BaseDriverNode(GuardedLifecycleNode):
             return self.robot.now
         return float(self.get_clock().now().nanoseconds) * 1e-9
 
-    def _on_twist(self, source: str, message: Any) -> None:
-        self.inputs.publish(self.robot, source, message, self.clock_watch.problem)
+    def _on_twist(self, source: str, message: Any, sent: float | None) -> None:
+        waited = time.time() - sent if sent is not None else 0.0
+        self.inputs.publish(self.robot, source, message, self.clock_watch.problem, waited=waited)
 
     def _on_stamped_twist(self, source: str, message: Any) -> None:
         problem, ros_time = self.clock_watch.problem, self.ros_time()

@@ -10,6 +10,12 @@ from thorvaldc.model import Robot
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.se2 import Twist
 
+LONGEST_WAIT = 10.0
+"""Longest time (s) for which a twist without a stamp can have waited in the middleware.
+
+Its age is the difference of two clocks: a computer whose clock is late is refused so long after a
+gap, and not for ever.
+"""
 OWNER = "ROS"
 """Name of all ROS programs as owners of twist sources and stops: ROS does not tell who sends."""
 
@@ -58,15 +64,23 @@ class TwistInputs:
         self.publish(robot, source, message.twist, problem, age)
 
     def publish(
-        self, robot: DrivenRobot | None, source: str, message: Any, problem: str, age: float = 0.0
+        self,
+        robot: DrivenRobot | None,
+        source: str,
+        message: Any,
+        problem: str,
+        age: float = 0.0,
+        waited: float = 0.0,
     ) -> None:
         """Publishes a ROS twist of a source that is ``age`` seconds old.
 
-        ``problem``: reason why the twist does not count, or an empty text.
+        - ``problem``: reason why the twist does not count, or an empty text;
+        - ``waited``: real time (s) since it was published, by the clocks of two computers.
         """
         self.received[source] += 1
         twist = Twist(message.linear.x, message.linear.y, message.angular.z)
-        reason = problem or self._refusal(robot, twist, age)
+        waited = min(max(waited, 0.0), LONGEST_WAIT)
+        reason = problem or self._refusal(robot, twist, age, waited)
         if robot is not None and not reason:
             sent = robot.input_time - max(age, 0.0)
             reason = robot.multiplexer.publish(source, twist, sent, OWNER)
@@ -74,12 +88,12 @@ class TwistInputs:
             count, _ = self.refused.get(source, (0, ""))
             self.refused[source] = (count + 1, reason)
 
-    def _refusal(self, robot: DrivenRobot | None, twist: Twist, age: float) -> str:
+    def _refusal(self, robot: DrivenRobot | None, twist: Twist, age: float, waited: float) -> str:
         if robot is None:
             return "the node is inactive"
         if robot.paused:
             return "the simulation is paused"
-        if reason := robot.void_reason():
+        if reason := robot.void_reason(waited):
             return reason
         if not all(map(math.isfinite, twist)):
             return "the twist is not finite"

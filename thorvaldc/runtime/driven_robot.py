@@ -263,15 +263,15 @@ class DrivenRobot(ArmableRobot):
         late = 0.0 if self.paused else self.pace.lateness
         return gap_text(late) if self.driver.time_gaps.judge(late) is Gap.LONG else ""
 
-    def void_reason(self) -> str:
-        """Returns the reason why inputs that arrive now do not count, or an empty text."""
+    def void_reason(self, age: float = 0.0) -> str:
+        """Returns the reason why inputs that were sent ``age`` s ago do not count, or no text."""
         gap = self._present_gap()
         if gap:
             self._settled = self.pace.real_time() + SETTLING
             self._void_reason = f"{gap}; commands that waited do not count, send them again"
             if self.pace.factor is not None:
                 self.void(gap)
-        return self._void_reason if self.pace.real_time() < self._settled else ""
+        return self._void_reason if self.pace.real_time() - age < self._settled else ""
 
     def void(self, reason: str) -> None:
         """Voids all commands; each source must publish a zero twist before the robot moves."""

@@ -206,3 +206,13 @@ def test_an_unsaved_module_replaces_the_file_on_the_disk(tmp_path: Path) -> None
     assert links[0] == links[3]
     assert ["kg" in text and text.count("2 kg") for text in links] == [0, 1, 0, 0]
     assert read_bytes(Path(real_path), "x", Report(), limit=10**6) == (BLOCK % "1 kg").encode()
+
+
+def test_a_library_beside_the_robot_file_that_it_does_not_name(tmp_path: Path) -> None:
+    module = tmp_path / "modules" / "sensor" / "eye" / "module.yaml"
+    module.parent.mkdir(parents=True)
+    module.write_text("thorvaldc: 1\n")
+    robot = tmp_path / "robot.yaml"
+    robot.write_text("thorvaldc: 1\nname: r\nmodules:\n  eye: {type: sensor/eye}\n")
+    hint = compile_file(robot).report.errors[0].hint
+    assert hint == "`library: [modules]` in this file adds modules/sensor/eye/module.yaml"

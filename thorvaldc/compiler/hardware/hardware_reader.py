@@ -25,7 +25,7 @@ from thorvaldc.compiler.source.dimensions import EXPECTED, element_of
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import INVALID, entries, items
-from thorvaldc.diagnostics import Proposal, Report, did_you_mean, plain
+from thorvaldc.diagnostics import Proposal, Report, did_you_mean, nearest, plain
 from thorvaldc.model.robot import NOT_STATED
 from thorvaldc.model.sensor_numbers import SENSOR_NUMBERS
 from thorvaldc.model.spatial import clean, combine
@@ -289,9 +289,11 @@ class _HardwareReader:
         stated = entries(properties)
         others = [name for name in schemas if name not in stated]
         for name, node in stated.items():
-            hint = did_you_mean(name, others) if name not in schemas else None
-            if hint is not None:
+            # Only a misspelt name: `range_max` may be a property for another program.
+            meant = nearest(name, others, cutoff=0.8) if name not in schemas else None
+            if meant is not None:
                 message = f"`{name}` is not a number of a {kind}"
+                hint = did_you_mean(name, [meant])
                 self.report.add("unknown-key", message, node.where, hint=hint)
 
     def _battery(self, node: Node) -> model.Battery:

@@ -136,10 +136,14 @@ def _load_module(name: str, path: Path, display: str, report: Report) -> ModuleT
 class Library:
     """The library folders of one compilation.
 
-    ``folders`` contains the path of each library folder, and the name of the folder in diagnostics.
+    - ``folders``: the path of each library folder, and the name of the folder in diagnostics;
+    - ``base_dir``: folder of the document, for the hint about a library that it does not name.
     """
 
-    def __init__(self, folders: Sequence[tuple[Path, str]] = ()) -> None:
+    def __init__(
+        self, folders: Sequence[tuple[Path, str]] = (), base_dir: Path | None = None
+    ) -> None:
+        self._base_dir = base_dir
         self.folders = [*folders, (data_folder("modules"), BUILTIN_LIBRARY)]
         self._types: dict[str, ModuleType | None] = {}
         self._names: list[str] | None = None
@@ -185,9 +189,20 @@ class Library:
             "module-type-unknown",
             f"there is no module type `{name}`",
             node.span,
-            hint=self._near_type(name) or "`thorvaldc modules list` shows them",
+            hint=self._unnamed_library(name if is_inside else "")
+            or self._near_type(name)
+            or "`thorvaldc modules list` shows them",
         )
         return None
+
+    def _unnamed_library(self, name: str) -> str | None:
+        """Returns the hint about a folder ``modules`` beside the document, if it has the type."""
+        usual = "modules"
+        if not name or self._base_dir is None:
+            return None
+        if not os.path.isfile(self._base_dir / usual / name / FILE):
+            return None
+        return f"`library: [{usual}]` in this file adds {usual}/{name}/{FILE}"
 
     def _near_type(self, name: str) -> str | None:
         """Returns the hint with the module types whose names are near ``name``.

@@ -227,9 +227,12 @@ def _is_within(
     needed = f"be {' and '.join(parts)}"
     if len(parts) == 1 and max(least, lower) == 0.0:
         needed = "be positive" if lower == 0.0 else "not be negative"
+    shown = kind.format_value(value)
+    if kind.unit == "rad" and value:
+        shown += f" ({math.degrees(value):.6g} deg)"
     report.add(
         schema.get("x-code", "out-of-range"),
-        f"`{key}` is {kind.format_value(value)}; it must {needed}",
+        f"`{key}` is {shown}; it must {needed}",
         span,
     )
     return False
