@@ -336,9 +336,8 @@ class BaseDriverNode(GuardedLifecycleNode):
                 "tf2_msgs is not installed: the transform from odom to base_link is not published"
             )
         stamped = self.values["stamped"]
-        twist, callback = TwistMessage, self._on_twist
-        if stamped:
-            twist, callback = TwistStamped, self._on_stamped_twist
+        twist = TwistStamped if stamped else TwistMessage
+        callback: Callable[..., None] = self._on_stamped_twist if stamped else self._on_twist
         for source in model.twist_sources:
             take = functools.partial(callback, source.name)
             add(self.create_subscription(twist, source.topic, take, 1, timed=not stamped))
