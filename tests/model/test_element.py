@@ -13,7 +13,7 @@ import pytest
 
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Mesh, Pose, Robot
-from thorvaldc.model.element import once_per_model
+from thorvaldc.model.element import Element, once_per_model
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "4wd4ws_wide" / "robot.yaml"
 
@@ -52,6 +52,18 @@ def test_a_field_that_is_not_compared_is_kept_in_copies() -> None:
         b"data",
         b"data",
     ]
+
+
+def test_an_element_refuses_what_its_objects_would_lack() -> None:
+    with pytest.raises(TypeError, match="`default_factory`"):
+
+        class Listed(Element):
+            names: tuple[str, ...] = dataclasses.field(default_factory=tuple)
+
+    with pytest.raises(TypeError, match="base class"):
+
+        class Turned(Pose):  # type: ignore[misc]
+            angle: float
 
 
 def test_a_result_is_computed_once_for_a_model_and_its_arguments() -> None:

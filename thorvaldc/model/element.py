@@ -51,8 +51,19 @@ class ElementType(type):
     _defaults: dict[str, Any]
 
     def __new__(mcs, name: str, bases: tuple[type, ...], namespace: dict[str, Any]) -> ElementType:
+        """Create a class.
+
+        Raises ``TypeError`` for what ``__init__`` of an element does not have: fields of another
+        element as a base class, and defaults from a function.
+        """
         names = tuple(namespace.get("__annotations__", ()))
         defaults = {key: namespace.pop(key) for key in names if key in namespace}
+        if any(getattr(base, "_names", ()) for base in bases):
+            raise TypeError(f"{name}: an element has no other element as its base class")
+        for key, value in defaults.items():
+            factory = getattr(value, "default_factory", dataclasses.MISSING)
+            if isinstance(value, dataclasses.Field) and factory is not dataclasses.MISSING:
+                raise TypeError(f"{name}.{key}: an element has no `default_factory`")
         namespace |= {"__match_args__": names, "__slots__": namespace.get("__slots__", names)}
         cls = super().__new__(mcs, name, bases, namespace)
         cls._names = names

@@ -64,6 +64,7 @@ def test_groups_give_the_same_model(
             b'<asset><hfield name="h" file="h.png" size="1 1 1 1"/></asset><worldbody>',
         ),
         (b"</worldbody>", b'<body name="post"/></worldbody>'),
+        (b"<mujoco ", b'<!DOCTYPE mujoco [<!ENTITY name "wide">]><mujoco '),
         (b"<inertial ", b'<geom type="mesh" mesh="wide_1/hub_11344e18"/><inertial '),
     ],
 )

@@ -17,7 +17,7 @@ from thorvaldc.runtime.base_interface import JointCommands, JointStates, NotFini
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimate, TwistEstimator
 from thorvaldc.runtime.calculators.twist_fit import Noise
-from thorvaldc.runtime.interpreted_subclasses import mypyc_attr
+from thorvaldc.runtime.mypyc_marks import mypyc_attr
 from thorvaldc.runtime.se2 import Twist
 
 _MAX_TWIST_SQUARED = 1e18

@@ -35,7 +35,7 @@ from thorvaldc.runtime.calculators.reachable_twists import ReachableTwists, Skid
 from thorvaldc.runtime.calculators.steering_branch import DriveMotors, SteeringJoint
 from thorvaldc.runtime.calculators.twist_estimator import EstimatorOptions, TwistEstimator
 from thorvaldc.runtime.calculators.twist_fit import least_squares3, solve3
-from thorvaldc.runtime.interpreted_subclasses import mypyc_attr
+from thorvaldc.runtime.mypyc_marks import mypyc_attr
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 _FOLLOW_WEIGHT = 0.01

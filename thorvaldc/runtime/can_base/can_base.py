@@ -54,7 +54,7 @@ from thorvaldc.runtime.can_base.bus_services import (
     component_statuses,
 )
 from thorvaldc.runtime.can_base.motor_controller import Axis, Intent
-from thorvaldc.runtime.interpreted_subclasses import mypyc_attr
+from thorvaldc.runtime.mypyc_marks import mypyc_attr
 from thorvaldc.runtime.service_table import Service
 
 SEND_TIME = 0.25

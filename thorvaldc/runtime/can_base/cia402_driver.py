@@ -10,7 +10,7 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Bus, Node, Robot
 from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorController
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
-from thorvaldc.runtime.interpreted_subclasses import mypyc_attr
+from thorvaldc.runtime.mypyc_marks import mypyc_attr
 
 HOMING_SETTLED = 3
 """Number of cycles after the start of a homing in which the homing result is ignored.

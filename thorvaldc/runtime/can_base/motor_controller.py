@@ -15,7 +15,7 @@ from thorvaldc.model.bus import MASTER
 from thorvaldc.model.bus_timing import required_objects
 from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
-from thorvaldc.runtime.interpreted_subclasses import mypyc_attr
+from thorvaldc.runtime.mypyc_marks import mypyc_attr
 
 T = TypeVar("T")
 STANDING = 0.02

@@ -27,7 +27,7 @@ from typing import ClassVar
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Bus, Node, ObjectValue, Robot
 from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorController
-from thorvaldc.runtime.interpreted_subclasses import mypyc_attr
+from thorvaldc.runtime.mypyc_marks import mypyc_attr
 
 # Operating modes of a channel of the Roboteq motor controller.
 DRIVE, HOME, DECOUPLED = 0, 1, 2

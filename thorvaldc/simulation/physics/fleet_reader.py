@@ -17,10 +17,10 @@ ROBOTS = 20
 def read_fleet(text: bytes) -> Any:
     """Returns the ``MjModel`` of a scene without visual geoms, and with fused bodies.
 
-    Returns ``None`` if the scene has at most ``ROBOTS`` robots, or if its physics needs other
-    files (meshes, a height field).
+    Returns ``None`` if the scene has at most ``ROBOTS`` robots, if its physics needs other files
+    (meshes, a height field), or if it declares entities, which MuJoCo does not expand.
     """
-    if text.count(b"<freejoint") <= ROBOTS:
+    if text.count(b"<freejoint") <= ROBOTS or b"<!" in text.replace(b"<!--", b""):
         return None
     from xml.etree.ElementTree import Element, SubElement, fromstring, tostring
 

@@ -16,7 +16,7 @@ from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.twist_fit import solve3
-from thorvaldc.runtime.interpreted_subclasses import mypyc_attr, trait
+from thorvaldc.runtime.mypyc_marks import mypyc_attr, trait
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Pose2, Twist
 
 # -- interfaces of simulated bases -----------------------------------------------------------------
