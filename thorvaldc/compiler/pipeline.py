@@ -20,12 +20,14 @@ from __future__ import annotations
 
 import os
 import posixpath
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from thorvaldc.compiler.bus.assemble_buses import remembered_buses
 from thorvaldc.compiler.bus.bus_checks import check_sides
 from thorvaldc.compiler.bus.node_ids import Lock, has_pins, lock_path, lock_text, read_lock
 from thorvaldc.compiler.bus.stopping_distance import check_stops_on_slope
@@ -97,6 +99,20 @@ def compile_file(
         if source.kind not in ("robot", "fleet"):
             return _compile_document_of_tool(source, compile_one)
         return compile_one(source)
+
+
+@contextmanager
+def many_compilations() -> Iterator[None]:
+    """Within this context, many compilations share what does not change between them.
+
+    These are the worker processes that read meshes, the expansions of equal xacro files and the
+    buses of equal devices.  The xacro files must not change in the meantime.
+    """
+    # A robot without xacro files does not need this module.
+    from thorvaldc.compiler.extras.xacro_expand import remembered_expansions
+
+    with shared_mesh_workers(), remembered_expansions(), remembered_buses():
+        yield
 
 
 def _compile_document_of_tool(source: SourceFile, compile_one: Compile) -> Compilation:

@@ -6,15 +6,17 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.connection import wait
 
 
 @contextmanager
-def worker_pool(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Opens a pool of ``count`` worker processes.
+def worker_pool(
+    count: int, prepare: Callable[[], None] | None = None
+) -> Iterator[ProcessPoolExecutor]:
+    """Opens a pool of ``count`` worker processes, each of which calls ``prepare`` first.
 
     Submit all work in the ``with`` block under ``ignored_interrupts``.  If an exception leaves the
     block, also Ctrl-C, the workers are terminated and the remaining work is cancelled.
@@ -22,7 +24,9 @@ def worker_pool(count: int) -> Iterator[ProcessPoolExecutor]:
     # The processes are spawned, because a forked process would inherit locks and threads of MuJoCo
     # and numpy.
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=become_worker)
+    pool = ProcessPoolExecutor(
+        count, mp_context=context, initializer=become_worker, initargs=(prepare,)
+    )
     try:
         yield pool
     except BaseException:
@@ -33,8 +37,8 @@ def worker_pool(count: int) -> Iterator[ProcessPoolExecutor]:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def become_worker() -> None:
-    """Makes the current process a worker of its parent process.
+def become_worker(prepare: Callable[[], None] | None = None) -> None:
+    """Makes the current process a worker of its parent process, and calls ``prepare``.
 
     A worker ignores Ctrl-C, which a terminal sends to all processes: the parent process ends its
     workers itself.  A parent process that is killed cannot do so; its workers then end themselves.
@@ -42,6 +46,8 @@ def become_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_after_parent, daemon=True).start()
+    if prepare is not None:
+        prepare()
 
 
 def _end_after_parent() -> None:

@@ -56,6 +56,22 @@ def test_default_applies_without_argument(workshop: Workshop) -> None:
     assert size(workshop, module)[0] == 0.02
 
 
+@pytest.mark.parametrize("default", ["5 kg", "3"])
+def test_a_wrong_default_is_reported_by_each_compilation(workshop: Workshop, default: str) -> None:
+    """Defaults without expressions are computed once for all uses of a module."""
+    params = f"  e: {{quantity: length, default: {default}, maximum: 2 m, {PARAM}}}"
+    workshop.module("t/wrong", document(params, '["${e}", 1, 1]'))
+    parts = "".join(
+        f"    p{k}: {{type: t/wrong, mount: {{parent: body, xyz: [{k}, 0, 1]}}}}\n" for k in (1, 2)
+    )
+    first, second = (
+        [diagnostic.code.name for diagnostic in workshop.diagnostics(f"{CART}{parts}")]
+        for _ in range(2)
+    )
+    assert first == second
+    assert first[0] in ("wrong-dimension", "param-range")
+
+
 def test_a_default_may_be_an_expression_over_other_parameters(workshop: Workshop) -> None:
     params = f"""
   outer: {{quantity: length, default: "${{inner + 10 mm}}", {PARAM}}}

@@ -18,8 +18,8 @@ from thorvaldc.cli.completion import diagnostic_codes
 from thorvaldc.cli.exits import DONE
 
 if TYPE_CHECKING:
+    from thorvaldc.cli.checked_file import CheckedFile
     from thorvaldc.diagnostics import Accepted
-    from thorvaldc.model import Fleet, Robot
 
 STANDARD_INPUT = "-"
 
@@ -46,34 +46,39 @@ def check(
         bool, typer.Option("--verbose", "-v", help="Show accepted warnings with their reasons.")
     ] = False,
 ) -> int:
+    from thorvaldc.cli.checked_file import check_file, check_files
     from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, has_color
     from thorvaldc.compiler.bus.node_ids import without_lock_files
-    from thorvaldc.compiler.pipeline import compile_file
-    from thorvaldc.compiler.sandbox import missing_limits
 
     if format != "badge":
         check_format(format)
     folders = options.library_folders(library)
     output = DiagnosticOutput(format, sys.stdout)
+    missing: dict[str, None] = {}
+    text: Path | None = None
     with ExitStack() as inputs:
-        text = inputs.enter_context(_standard_input()) if STANDARD_INPUT in files else None
-        for file in without_lock_files(files):
-            compilation = compile_file(file, library=folders, trust=trust)
-            if file == STANDARD_INPUT and text is not None:
-                compilation.sources[STANDARD_INPUT] = text
-            output.add(compilation.report, compilation.sources)
-            accepted = compilation.report.accepted
+        results: Iterator[CheckedFile]
+        if STANDARD_INPUT in files:  # which only this process has
+            text = inputs.enter_context(_standard_input())
+            results = (check_file(file, folders, trust) for file in without_lock_files(files))
+        else:
+            results = check_files(list(without_lock_files(files)), folders, trust)
+        for checked in results:
+            if checked.file == STANDARD_INPUT and text is not None:
+                checked.sources[STANDARD_INPUT] = text
+            output.add(checked.report, checked.sources)
+            missing.update(dict.fromkeys(checked.missing_limits))
+            accepted = checked.report.accepted
             if accepted and verbose and format == "text":
                 from thorvaldc.diagnostics.renderers import render_accepted
 
-                print(render_accepted(compilation.report, color=has_color(sys.stdout)))
-            if compilation.model is not None:
+                print(render_accepted(checked.report, color=has_color(sys.stdout)))
+            if checked.summary:
                 more = f"; {_accepted(accepted)} accepted" if accepted else ""
-                summary = _summary(compilation.model)
-                output.result(f"{file}: {compilation.model.name}, {summary}{more}")
-    if format == "text" and missing_limits:
-        missing = "; ".join(missing_limits)
-        print(f"note: limits of the readers of xacro and meshes: {missing}", file=sys.stderr)
+                output.result(f"{checked.file}: {checked.summary}{more}")
+    if format == "text" and missing:
+        limits = "; ".join(missing)
+        print(f"note: limits of the readers of xacro and meshes: {limits}", file=sys.stderr)
     return output.finish(strict)
 
 
@@ -85,19 +90,6 @@ def _accepted(accepted: list[Accepted]) -> str:
     numbers = Counter(entry.diagnostic.severity for entry in accepted)
     kinds = (Severity.WARNING, Severity.NOTE)
     return ", ".join(count(numbers[kind], kind.value) for kind in kinds if numbers[kind])
-
-
-def _summary(model: Robot | Fleet) -> str:
-    """Returns a summary of a robot, such as ``4 wheels (4 driven, 4 steered), 213.4 kg``."""
-    from thorvaldc.cli.diagnostic_output import count
-    from thorvaldc.model import Fleet
-
-    if isinstance(model, Fleet):
-        return count(len(model.placements), "robot")
-    driven = sum(1 for wheel in model.wheels if wheel.driven)
-    steered = sum(1 for wheel in model.wheels if wheel.steered)
-    wheels = count(len(model.wheels), "wheel")
-    return f"{wheels} ({driven} driven, {steered} steered), {model.inertial.mass:.1f} kg"
 
 
 @contextmanager

@@ -44,6 +44,7 @@ class ModuleType:
     display : name of the module file in spans.
     document : YAML tree of the module file.
     elaborated : cache of the hardware of the module, by the values of the parameters.
+    constants : cache of the values of nodes of ``document`` without expressions, by their ``id``.
     """
 
     name: str
@@ -51,6 +52,7 @@ class ModuleType:
     display: str
     document: Node
     elaborated: dict[Any, Any] = field(default_factory=dict)
+    constants: dict[int, Any] = field(default_factory=dict)
 
     @property
     def category(self) -> str:

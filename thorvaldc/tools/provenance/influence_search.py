@@ -20,14 +20,12 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.elaborate import elaborate
-from thorvaldc.compiler.extras.xacro_expand import remembered_expansions
 from thorvaldc.compiler.modules.library import Library, ModuleType
 from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.modules.resolve import Resolver
-from thorvaldc.compiler.pipeline import library_folders_of, read_robot_lock
+from thorvaldc.compiler.pipeline import library_folders_of, many_compilations, read_robot_lock
 from thorvaldc.compiler.result import Compilation, SourceFile
 from thorvaldc.compiler.robot_settings.robot_sections import read_design
-from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.source.units import UnitError, parse_any
@@ -212,8 +210,7 @@ class RobotProbe:
     """
 
     def __init__(self, path: Path, library: Sequence[Path], trust: bool, stack: ExitStack) -> None:
-        stack.enter_context(shared_mesh_workers())
-        stack.enter_context(remembered_expansions())
+        stack.enter_context(many_compilations())
         self.path = path
         self.trust = trust
         self.count = 0

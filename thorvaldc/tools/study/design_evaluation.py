@@ -21,12 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.backends.mjcf import simulation_files
-from thorvaldc.compiler.bus.assemble_buses import remembered_buses
-from thorvaldc.compiler.extras.xacro_expand import remembered_expansions
-from thorvaldc.compiler.pipeline import compile_robot
+from thorvaldc.compiler.pipeline import compile_robot, many_compilations
 from thorvaldc.compiler.result import Compilation, SourceFile
 from thorvaldc.compiler.scenario.scenario_compilation import compile_scenario
-from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.diagnostics import Diagnostic, DiagnosticError, Report
 from thorvaldc.model import Robot
@@ -73,9 +70,7 @@ class DesignEvaluator:
     """
 
     def __init__(self, inputs: StudyInputs, stack: ExitStack) -> None:
-        stack.enter_context(shared_mesh_workers())
-        stack.enter_context(remembered_expansions())
-        stack.enter_context(remembered_buses())
+        stack.enter_context(many_compilations())
         self.inputs = inputs
         self.study = inputs.study
 
