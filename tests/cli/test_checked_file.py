@@ -60,6 +60,26 @@ def test_processes_find_what_one_process_finds(
         assert "nowhere.yaml" in processes.out
 
 
+def test_the_processes_of_a_command_find_it_too(
+    thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are copies of the process of the command, which has no other threads."""
+    names = [*(f"{number}.yaml" for number in range(24)), "bad.yaml", "nowhere.yaml"]
+    for number, name in enumerate(names[:-2]):
+        text = GOOD.replace("width: 0.9 m", f"width: 1.{number:02} m")
+        Path(name).write_text(text, encoding="utf-8")
+    result = subprocess.run(
+        [sys.executable, "-X", "dev", "-W", "error", "-m", "thorvaldc", "check", *names],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    monkeypatch.setattr(checked_file, "FILES_OF_PROCESSES", 1000)
+    assert result.stdout == thorvaldc("check", *names).out
+    assert (result.returncode, result.stderr) == (1, "")
+
+
 def test_the_files_share_no_diagnostics(thorvaldc: Command, files: list[str]) -> None:
     """Values of the library and buses that are computed once report their problems each time."""
     for name in ("first", "second"):

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import gc
+import sys
 from collections.abc import Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from thorvaldc.diagnostics import Report
     from thorvaldc.model import Fleet, Robot
 
-FILES_OF_PROCESSES = 40
+FILES_OF_PROCESSES = 20
 """Least number of files that are checked in several processes, whose start takes as long as the
-check of some ten files."""
+check of some files."""
 
 
-@dataclass(frozen=True, slots=True)
-class CheckedFile:
+class CheckedFile(NamedTuple):
     """What ``check`` prints about a file.
 
+    - ``file``: path as the user wrote it.
     - ``report``: diagnostics, and accepted warnings.
     - ``sources``: path of the input file for each path in ``report``.
     - ``summary``: name of the model and its size, or empty if the file has errors.
@@ -61,6 +60,8 @@ def check_files(
     """
     number = 0
     if len(files) >= FILES_OF_PROCESSES:
+        from concurrent.futures.process import BrokenProcessPool
+
         try:
             for checked in _of_processes(files, library, trust):
                 yield checked
@@ -84,12 +85,13 @@ def _of_processes(
     count = processors()
     if count == 1:
         return
-    batch = max(1, min(20, len(files) // (2 * count)))
-    with worker_pool(count, _prepare) as pool:
+    check = partial(check_file, library=library, trust=trust)
+    yield check(files[0])  # which loads the modules of the compiler for all forked processes
+    batch = min(20, 1 + len(files) // (8 * count))
+    may_fork = not {"numpy", "mujoco"} & set(sys.modules)
+    with worker_pool(count, _prepare, may_fork=may_fork) as pool:
         with ignored_interrupts():
-            results = pool.map(
-                partial(check_file, library=library, trust=trust), files, chunksize=batch
-            )
+            results = pool.map(check, files[1:], chunksize=batch)
         yield from results
 
 

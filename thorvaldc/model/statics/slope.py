@@ -279,6 +279,8 @@ def _with_trailing_casters(robot: Robot, backwards: bool) -> Robot:
         ahead = (wheel.trail > 0.0) != backwards
         return replace(wheel, heading=math.pi if ahead else 0.0)
 
+    if all(wheel.swivel_joint is None for wheel in robot.wheels):
+        return robot  # the statics of a model are computed once
     return replace(robot, wheels=tuple(map(turned, robot.wheels)))
 
 
