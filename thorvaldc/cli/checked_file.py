@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from functools import partial
@@ -88,8 +87,7 @@ def _of_processes(
     check = partial(check_file, library=library, trust=trust)
     yield check(files[0])  # which loads the modules of the compiler for all forked processes
     batch = min(20, 1 + len(files) // (8 * count))
-    may_fork = not {"numpy", "mujoco"} & set(sys.modules)
-    with worker_pool(count, _prepare, may_fork=may_fork) as pool:
+    with worker_pool(count, _prepare, may_fork=True) as pool:
         with ignored_interrupts():
             results = pool.map(check, files[1:], chunksize=batch)
         yield from results

@@ -20,14 +20,15 @@ def worker_pool(
 ) -> Iterator[ProcessPoolExecutor]:
     """Opens a pool of ``count`` worker processes, each of which calls ``prepare`` first.
 
-    ``may_fork``: whether this process has loaded neither numpy nor MuJoCo.  Without other threads,
-    the workers are then copies of it, which start in a tenth of the time.
+    ``may_fork``: whether the workers may be copies of this process, which start in a tenth of the
+    time.  The caller must have no worker process of its own open.
 
     Submit all work in the ``with`` block under ``ignored_interrupts``.  If an exception leaves the
     block, also Ctrl-C, the workers are terminated and the remaining work is cancelled.
     """
-    # A forked process would inherit locks and threads of MuJoCo and numpy.
-    is_forked = may_fork and sys.platform == "linux" and threading.active_count() == 1
+    # A forked process would inherit the locks of other threads, which numpy and MuJoCo start too.
+    is_single = threading.active_count() == 1 and not {"numpy", "mujoco"} & set(sys.modules)
+    is_forked = may_fork and is_single and sys.platform == "linux"
     context: Any = multiprocessing.get_context("fork" if is_forked else "spawn")
     pool = ProcessPoolExecutor(
         count, mp_context=context, initializer=become_worker, initargs=(prepare,)
