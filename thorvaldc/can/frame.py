@@ -15,11 +15,11 @@ from __future__ import annotations
 import enum
 import time
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
-SEND_LIMIT = 32
+SEND_LIMIT: Final = 32
 """Default size of a send queue, in frames."""
-RECEIVE_LIMIT = 1024
+RECEIVE_LIMIT: Final = 1024
 """Default size of a receive queue, in frames."""
 
 
@@ -156,9 +156,9 @@ class CanInterface(Protocol):
 
 # -- time: whole nanoseconds, so that the simulated time has no rounding errors -----------------
 
-NANOSECONDS = 1_000_000_000
+NANOSECONDS: Final = 1_000_000_000
 """Nanoseconds in one second."""
-NEVER = 1 << 62
+NEVER: Final = 1 << 62
 """A time (ns) that is later than the time of every event."""
 
 

@@ -17,14 +17,15 @@ are kept.
 from __future__ import annotations
 
 import functools
+from typing import Final
 
 from thorvaldc.can.frame import CanFrame
 
-INTERFRAME_BITS = 3
-TAIL_BITS = 10
+INTERFRAME_BITS: Final = 3
+TAIL_BITS: Final = 10
 """Bits after the stuffed part: CRC delimiter, ACK slot and delimiter, 7 bits of end of frame."""
 
-_POLYNOMIAL = 0x4599
+_POLYNOMIAL: Final = 0x4599
 """Polynomial of the 15-bit CRC without x^15: x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1."""
 
 
@@ -105,7 +106,7 @@ def _crc_table() -> tuple[int, ...]:
 # bit, and `run` (1 to 4) is the number of equal bits up to the last sent bit.  After the fifth
 # equal bit the sender inserts a stuff bit, from which equal bits are counted again.  The bit
 # stuffing state `_START` means that no bit of the CAN frame was sent yet.
-_START = 8
+_START: Final = 8
 
 
 def _next(state: int, bit: int) -> tuple[int, int]:
@@ -125,6 +126,8 @@ def _byte_step(state: int, byte: int) -> tuple[int, int]:
     return state, stuffed
 
 
-_CRC = _crc_table()
-_STUFF_BIT = tuple(tuple(_next(state, bit) for bit in (0, 1)) for state in range(9))
-_STUFF_BYTE = tuple(tuple(_byte_step(state, byte) for byte in range(256)) for state in range(9))
+_CRC: Final = _crc_table()
+_STUFF_BIT: Final = tuple(tuple(_next(state, bit) for bit in (0, 1)) for state in range(9))
+_STUFF_BYTE: Final = tuple(
+    tuple(_byte_step(state, byte) for byte in range(256)) for state in range(9)
+)

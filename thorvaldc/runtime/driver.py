@@ -10,6 +10,7 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Final
 
 from thorvaldc.model import DriverSettings, Robot
 from thorvaldc.model.sums import float_sum
@@ -21,11 +22,11 @@ from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Cov3, Pose2, Twist
 from thorvaldc.runtime.twist_ramp import LastingDifference, Ramp, difference_text, is_axle_swing
 
-MAX_TWIST = 1e9
+MAX_TWIST: Final = 1e9
 """Twists with components (m/s, rad/s) whose absolute sum reaches this limit are rejected."""
-STANDING_SPEED = 0.05
+STANDING_SPEED: Final = 0.05
 """Wheel speed (rad/s) below which a wheel stands."""
-_TIME_TOLERANCE = 1e-9
+_TIME_TOLERANCE: Final = 1e-9
 """Tolerance (s) for rounding errors in the check of the command timeout."""
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from thorvaldc.diagnostics import did_you_mean
 from thorvaldc.model import Robot, TwistInput
@@ -17,7 +17,7 @@ from thorvaldc.runtime.pace import Gap, gap_text
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.runtime.service_table import THIS_PROGRAM, OwnedStop
 
-_TIME_TOLERANCE = 1e-9
+_TIME_TOLERANCE: Final = 1e-9
 """Tolerance (s) for rounding errors in the check of a time-out."""
 
 

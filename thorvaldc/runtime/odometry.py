@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from itertools import combinations
+from typing import Final
 
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates, NotFiniteError
@@ -12,18 +13,18 @@ from thorvaldc.runtime.calculators import BaseCalculator
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimate, TwistEstimator
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, ZERO_TWIST, Cov3, Pose2, Row3, Twist
 
-LONGEST_INTERVAL = 0.5
+LONGEST_INTERVAL: Final = 0.5
 """Longest interval (s) between two joint states over which the odometry integrates the motion."""
-LOW_RANK_CORRELATION = 10.0
+LOW_RANK_CORRELATION: Final = 10.0
 """Correlation time (s) of the velocity errors in directions that no wheel measures."""
-_TIME_CONSTANT = 2.0
+_TIME_CONSTANT: Final = 2.0
 """Time constant (s) of the share of time in which a wheel is left out or doubted."""
-_WARNED_SHARE = 0.5
+_WARNED_SHARE: Final = 0.5
 """Share of the time from which a warning is raised.
 
 Healthy wheels fail their tests in 1 % of the ticks; a faulty wheel that moves fails in most.
 """
-_FORGOTTEN_SHARE = 0.001
+_FORGOTTEN_SHARE: Final = 0.001
 
 
 class Odometry:
@@ -154,10 +155,10 @@ def mean_states(start: JointStates, end: JointStates, dt: float) -> CheckedJoint
     interval.  The covariance of the pose therefore assumes independent errors in each interval.
     """
     if start.positions is not None and end.positions is not None:
-        speeds = [(b - a) / dt for a, b in zip(start.positions, end.positions, strict=True)]
+        speeds = _rates(start.positions, end.positions, dt)
     else:
         speeds = _means(start.speeds, end.speeds)
-    rates = [(b - a) / dt for a, b in zip(start.angles, end.angles, strict=True)]
+    rates = _rates(start.angles, end.angles, dt)
     yaw_rate = end.yaw_rate
     if yaw_rate is not None and start.yaw_rate is not None:
         yaw_rate = (start.yaw_rate + yaw_rate) / 2.0
@@ -165,8 +166,15 @@ def mean_states(start: JointStates, end: JointStates, dt: float) -> CheckedJoint
     return CheckedJointStates(end.time, speeds, angles, rates, None, yaw_rate)
 
 
+# mypyc compiles a loop over `zip` without arguments by name, and calls `zip` with them.
+
+
+def _rates(start: Sequence[float], end: Sequence[float], dt: float) -> list[float]:
+    return [(b - a) / dt for a, b in zip(start, end)]  # noqa: B905
+
+
 def _means(start: Sequence[float], end: Sequence[float]) -> list[float]:
-    return [(a + b) / 2.0 for a, b in zip(start, end, strict=True)]
+    return [(a + b) / 2.0 for a, b in zip(start, end)]  # noqa: B905
 
 
 class WheelWarnings:
@@ -257,9 +265,9 @@ def _lasting(shares: dict[int, float]) -> list[int]:
 # therefore computed once per block of several ticks, with the mean twist in the block.  At the end
 # of a block, the covariance of the pose grows by the change of C + E[q q'] + R.
 
-BLOCK_TIME = 0.4
+BLOCK_TIME: Final = 0.4
 """Shortest time (s) over which the sensitivities of the twist count as constant."""
-_BLOCKS_PER_AREA = 5
+_BLOCKS_PER_AREA: Final = 5
 """Number of blocks after which the areas A change.  The areas change more slowly than S."""
 
 
@@ -506,7 +514,7 @@ def _parameters(estimator: TwistEstimator) -> tuple[object, ...]:
 # more time without another sensor, it is too small.  ``LastingErrors`` has the right covariance of
 # the pose at all times.
 
-DRIVE_ERROR_TIME = 15.0
+DRIVE_ERROR_TIME: Final = 15.0
 """Time constant tau_d (s) of the errors that last for the whole drive: a quarter of 60 s."""
 
 

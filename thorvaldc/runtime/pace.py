@@ -22,7 +22,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Final, Protocol
 
 from thorvaldc.model import DriverSettings, Robot
 from thorvaldc.model.stopping import shortest_watchdog
@@ -181,15 +181,15 @@ class Pace:
 # themselves: a drive may have heard the base driver for the last time up to one heartbeat period
 # before the gap.
 
-NORMAL_PERIODS = 2.5
+NORMAL_PERIODS: Final = 2.5
 """Longest normal time between two control cycles, in periods: one cycle is missing."""
-WATCHDOG_SHARE = 0.5
+WATCHDOG_SHARE: Final = 0.5
 """Shortest long gap, as a share of the shortest watchdog of the drives."""
-MOST_GAPS = 3
+MOST_GAPS: Final = 3
 """Number of short gaps within ``GAP_WINDOW`` that count as a long gap."""
-GAP_WINDOW = 2.0
+GAP_WINDOW: Final = 2.0
 """Time (s) in which short gaps are counted."""
-_ROUNDING = 1e-9
+_ROUNDING: Final = 1e-9
 
 
 class Gap(enum.Enum):
@@ -246,7 +246,7 @@ def gap_text(elapsed: float) -> str:
 
 # -- signals that end a run: the program stops the robot in order, and ends then ----------------
 
-END_SIGNALS = tuple(
+END_SIGNALS: Final = tuple(
     signal.Signals[name]
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
     if name in signal.Signals.__members__

@@ -18,7 +18,7 @@ For small angles a, the quotients are computed by Taylor series.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Final, NamedTuple
 
 from thorvaldc.model.spatial import quat_from_rpy
 
@@ -87,8 +87,8 @@ class Pose2(NamedTuple):
         return Pose2(c * dx + s * dy, c * dy - s * dx, self.yaw - origin.yaw)
 
 
-ZERO_TWIST = Twist(0.0, 0.0, 0.0)
-ORIGIN = Pose2(0.0, 0.0, 0.0)
+ZERO_TWIST: Final = Twist(0.0, 0.0, 0.0)
+ORIGIN: Final = Pose2(0.0, 0.0, 0.0)
 
 
 def _sin_over(a: float) -> float:
@@ -209,33 +209,21 @@ def integrate(
     return motion, propagated(covariance, twist_covariance, dx, dy, turn, d2)
 
 
-class Turn(NamedTuple):
-    """Functions of the angle a by which a robot turns in one step.
-
-    Each field is a number for one robot, or an array for many robots.
-    """
-
-    c: Any  # cos a
-    s: Any  # sin a
-    s1: Any  # sin a / a
-    c1: Any  # (1 - cos a) / a
-    s2: Any  # (a - sin a) / a^2
-    c2: Any  # (1 - cos a) / a^2
-
-
 def propagated(
     covariance: Cov3,
     noise: Cov3,
-    dx: Any,
-    dy: Any,
-    turn: tuple[Any, Any, Any, Any, Any, Any],
-    d2: Any,
+    dx: float,
+    dy: float,
+    turn: tuple[float, float, float, float, float, float],
+    d2: float,
 ) -> Cov3:
-    """Computes the result of ``propagate`` for numbers or for arrays.
+    """Returns the covariance of the pose after one step of ``integrate``.
 
-    - ``dx``, ``dy``: velocity multiplied by the time, m.
+    - ``covariance``: covariance P of the pose before the step.
     - ``noise``: covariance Q of the twist.
-    - ``turn``: functions of the angle of the step, in the order of ``Turn``.
+    - ``dx``, ``dy``: velocity multiplied by the time, m.
+    - ``turn``: of the angle a of the step: cos a, sin a, sin a / a, (1 - cos a) / a,
+      (a - sin a) / a^2 and (1 - cos a) / a^2.
     - ``d2``: factor of Q, s^2.
     """
     c, s, sa, va, p, q = turn

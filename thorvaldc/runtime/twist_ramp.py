@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from thorvaldc.model import DriverSettings, Robot
 from thorvaldc.model.sums import float_sum
@@ -10,9 +11,9 @@ from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, BaseGeometry, WheelGeometry
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist, twist_text
 
-LEAD = 0.1
+LEAD: Final = 0.1
 """Largest difference (m/s) by which the ramp may lead the twist of the wheels."""
-LONGEST_SMOOTHING = 0.5
+LONGEST_SMOOTHING: Final = 0.5
 """Longest time (s) over which the twist ramp is smoothed."""
 
 
@@ -210,17 +211,17 @@ class Ramp:
 # has to stop, turn its wheels and start again on the way; ``bench.following`` and
 # ``bench.crossing`` count reports of twists that the robot makes after all.
 
-MARGIN = 2.0
+MARGIN: Final = 2.0
 """Time (s) beyond the slowest change of the twist before a difference lasts."""
-NEGLIGIBLE = 0.01
+NEGLIGIBLE: Final = 0.01
 """Difference (m/s) of two twists that counts as none."""
-_NEGLIGIBLE_SHARE = 0.02
+_NEGLIGIBLE_SHARE: Final = 0.02
 """Difference of two twists that counts as none, as a share of the commanded twist."""
-_SAME_COMMAND = 0.2
+_SAME_COMMAND: Final = 0.2
 """A command that changes by at most this share of the difference is still the same command."""
-_FULL_SPEED = 0.98
+_FULL_SPEED: Final = 0.98
 """Share of its speed limit from which on a drive motor is named as the cause."""
-_MISPLACED = math.radians(3.0)
+_MISPLACED: Final = math.radians(3.0)
 """Steering error (rad) of a joint that stands still, from which on it is named as the cause."""
 
 

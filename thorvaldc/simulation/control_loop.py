@@ -7,7 +7,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.model import DriverSettings, Robot
@@ -167,16 +167,16 @@ def twist_at(manoeuvre: Manoeuvre, time: float) -> Twist:
     return manoeuvre[following - 1].twist if following else ZERO_TWIST
 
 
-PARTS = (
+PARTS: Final = (
     (4.0, "forward"),
     (4.0, "arc"),
     (3.0, "sideways"),
     (3.0, "turn"),
 )
 """The default manoeuvre: durations (s) and names of its parts."""
-STOP = 2.0
+STOP: Final = 2.0
 """Duration (s) of the standstill at the end of the default manoeuvre."""
-_TIME_STEP = 0.1
+_TIME_STEP: Final = 0.1
 """Time step (s) of the predicted paths of a fleet."""
 
 
@@ -298,9 +298,9 @@ def _keep_apart(
     return True
 
 
-TIPPED = math.cos(math.radians(60.0))
+TIPPED: Final = math.cos(math.radians(60.0))
 """Cosine of the tilt from which a robot counts as fallen over."""
-NEGLIGIBLE_TWIST = 0.01
+NEGLIGIBLE_TWIST: Final = 0.01
 """Largest infeasible or unreachable motion (m/s, rad/s) that is not reported."""
 
 

@@ -8,7 +8,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Final, Self
 
 from thorvaldc.diagnostics import DiagnosticError, Proposal, Span, did_you_mean
 from thorvaldc.model import Robot
@@ -20,7 +20,7 @@ from thorvaldc.runtime.calculators.twist_fit import Noise
 from thorvaldc.runtime.mypyc_marks import mypyc_attr
 from thorvaldc.runtime.se2 import Twist
 
-_MAX_TWIST_SQUARED = 1e18
+_MAX_TWIST_SQUARED: Final = 1e18
 """Commanded twists whose square (m^2/s^2) reaches this limit are rejected as not finite."""
 
 
@@ -181,7 +181,7 @@ class BaseCalculator(abc.ABC):
 
 # -- the table of base calculators, by name, and the checks of their options --------------------
 
-PLUGINS: PluginTable[BaseCalculator] = PluginTable(
+PLUGINS: Final[PluginTable[BaseCalculator]] = PluginTable(
     "thorvaldc.base_calculators",
     BaseCalculator,
     {
@@ -191,7 +191,7 @@ PLUGINS: PluginTable[BaseCalculator] = PluginTable(
     },
 )
 
-_TYPE_NAMES = {bool: "true or false,", int: "a whole number", float: "a number", str: "text"}
+_TYPE_NAMES: Final = {bool: "true or false,", int: "a whole number", float: "a number", str: "text"}
 
 
 class CalculatorError(DiagnosticError):

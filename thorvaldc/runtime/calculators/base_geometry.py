@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 from thorvaldc.model import Robot, Wheel
 from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
-_SAME_HEADING = math.radians(10.0)
+_SAME_HEADING: Final = math.radians(10.0)
 """Largest difference (rad) between the headings of fixed wheels that form one axle.
 
 The wheels of an axle with slightly different headings scrub a little.  If the headings differ by
 more, the axle lines intersect, and the robot can only turn about the intersection.
 """
-_SAME_LINE = 1e-3
+_SAME_LINE: Final = 1e-3
 """Two parallel axle lines that are at most this distance (m) apart count as the same line."""
 
 

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import ClassVar, Self
+from typing import ClassVar, Final, Self
 
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, Noise
@@ -38,28 +38,28 @@ from thorvaldc.runtime.calculators.twist_fit import least_squares3, solve3
 from thorvaldc.runtime.mypyc_marks import mypyc_attr
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
-_FOLLOW_WEIGHT = 0.01
+_FOLLOW_WEIGHT: Final = 0.01
 """Weight lambda of the commanded twist in the least-scrub equation, for large steering errors."""
-_ROLLING = 0.05
+_ROLLING: Final = 0.05
 """Above this speed (m/s), a wheel with a wrong steering angle scrubs noticeably."""
-_MAX_TURN_ROLLING = math.pi / 4.0
+_MAX_TURN_ROLLING: Final = math.pi / 4.0
 """Largest change of the steering angle (rad) that a wheel makes while the robot moves."""
-_MIN_SHARE = 0.1
+_MIN_SHARE: Final = 0.1
 """Smallest allowed share of a change of the twist in one tick.
 
 Below it, a wheel is at a steering limit and must turn to the opposite direction.
 """
-_KEEP_WEIGHT = 0.01
+_KEEP_WEIGHT: Final = 0.01
 """Weight epsilon of the interpolated twist in the fit of a twist to wheel speeds.
 
 Nearly parallel wheels hardly determine the motion across them.  The weight bounds the correction to
 five times the largest difference of the rolling speeds.
 """
-_SAME_SPEED = 1e-12
+_SAME_SPEED: Final = 1e-12
 """Differences of rolling speeds (m/s) up to this limit are rounding errors."""
-_STANDING = 1e-6
+_STANDING: Final = 1e-6
 """A robot whose squared speed (m^2/s^2) is below this limit is at rest."""
-_ALIGNED = math.radians(1.0)
+_ALIGNED: Final = math.radians(1.0)
 """Largest steering error (rad) of an aligned wheel: smaller ones do not change the wheel speeds."""
 
 

@@ -39,17 +39,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels, WheelGeometry
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
-_TOLERANCE = 1e-10
+_TOLERANCE: Final = 1e-10
 """A steering angle beyond a limit by at most this angle (rad) counts as within the limit."""
-_LARGEST_DEVIATION = math.pi / 4.0
+_LARGEST_DEVIATION: Final = math.pi / 4.0
 """Angle (rad) to the commanded velocity from which on the robot does not move."""
-_KEEP = 0.1
+_KEEP: Final = 0.1
 """A candidate must be nearer by this share of the commanded twist if wheels must turn around."""
 
 Row = tuple[float, float, float]

@@ -30,31 +30,32 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from math import atan2, remainder, sqrt
+from typing import Final
 
 from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, WheelGeometry
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
-PI = math.pi
-TWO_PI = 2.0 * math.pi
-_QUICK = PI / 4.0
+PI: Final = math.pi
+TWO_PI: Final = 2.0 * math.pi
+_QUICK: Final = PI / 4.0
 
-HOLD_BELOW = 1e-3
+HOLD_BELOW: Final = 1e-3
 """Speed (m/s) of the steering axis below which the steering joint holds its angle."""
-RESUME_ABOVE = 2e-3
+RESUME_ABOVE: Final = 2e-3
 """Speed (m/s) above which a steering joint that holds its angle follows the motion again."""
-LIMIT_TOLERANCE = 1e-9
+LIMIT_TOLERANCE: Final = 1e-9
 """A steering angle beyond a limit by at most this angle (rad) is a rounding error.
 
 The angle is clamped to the limit.  The tolerance is larger than that of ``reachable_twists``.
 """
-_HOLD2 = HOLD_BELOW**2
-_TOUCH = 1e-9
+_HOLD2: Final = HOLD_BELOW**2
+_TOUCH: Final = 1e-9
 """Share by which the motion of a contact point may miss the circle around the steering axis."""
-_TIE = 1e-9
+_TIE: Final = 1e-9
 """Two costs of steering angles count as equal up to this difference (s)."""
-_PUSH_SHARE = 0.75
+_PUSH_SHARE: Final = 0.75
 """Share of a drive's speed and acceleration that its steering joint may demand.
 
 A contact point beside the steering axis moves as the joint turns, and the drive must turn the wheel

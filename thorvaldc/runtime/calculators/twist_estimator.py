@@ -25,7 +25,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import dist
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from thorvaldc.model.spatial import symmetric_eigenvalues
 from thorvaldc.model.sums import float_sum
@@ -54,8 +54,8 @@ from thorvaldc.runtime.se2 import Cov3, Row3, Twist
 
 __all__ = ["EstimatorOptions", "Noise", "TwistEstimate", "TwistEstimator"]
 
-_UNBOUNDED = "the joint states are out of all bounds"
-RANK_TOLERANCE = 1e-8
+_UNBOUNDED: Final = "the joint states are out of all bounds"
+RANK_TOLERANCE: Final = 1e-8
 """The normal matrix has rank 3 if its scaled determinant is at least this large.
 
 The scaled determinant is the determinant divided by the cube of the mean eigenvalue.
@@ -365,7 +365,6 @@ class TwistEstimator:
         offset.
         """
         speeds, angles = states.speeds, states.angles
-        cosine, sine = math.cos, math.sin
         measurements: list[Measurement] = []
         b1 = b2 = b3 = 0.0
         for wheel in self.wheels:
@@ -373,7 +372,7 @@ class TwistEstimator:
             z_l, z_t = radius * speeds[i], 0.0
             if steered:
                 direction = heading + sign * angles[i]
-                cos, sin = cosine(direction), sine(direction)
+                cos, sin = math.cos(direction), math.sin(direction)
                 if trail or lateral:
                     # The position of the contact point depends on the steering angle, and its
                     # velocity about the steering axis depends on the steering rate.

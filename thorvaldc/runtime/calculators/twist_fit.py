@@ -41,7 +41,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from thorvaldc.model.sums import float_sum
 
@@ -49,9 +49,12 @@ from thorvaldc.model.sums import float_sum
 # L) and the side slip (row T).  With TEST_ROLL and TEST_SIDE, the rolling speed and the side slip
 # are tested against the other wheels.  The fit does not use a rejected wheel, but the wheel is
 # still tested to determine its chi-square.  The fit uses a skidding wheel without a test.
-USE_ROLL, USE_SIDE, TEST_ROLL, TEST_SIDE = 1, 2, 4, 8
-SIDE_ONLY = USE_SIDE | TEST_SIDE
-ROLL_AND_SIDE = USE_ROLL | TEST_ROLL | SIDE_ONLY
+USE_ROLL: Final = 1
+USE_SIDE: Final = 2
+TEST_ROLL: Final = 4
+TEST_SIDE: Final = 8
+SIDE_ONLY: Final = USE_SIDE | TEST_SIDE
+ROLL_AND_SIDE: Final = USE_ROLL | TEST_ROLL | SIDE_ONLY
 
 Measurement = tuple[int, float, float, float, float, float, float, bool, bool]
 """(flags, c, s, x, y, z_L, z_T, steered, skids).
@@ -72,13 +75,13 @@ the contact (m/s). sigma_L^2 and sigma_T^2 are the variances along and across th
 
 NoiseSquares = tuple[float, float, float, float, float, float]
 
-STILL = 2.5e-13
+STILL: Final = 2.5e-13
 """Below this squared speed, (0.5e-6 m/s)^2, rounding errors determine the direction of motion."""
-UNTESTABLE = 1e-6
+UNTESTABLE: Final = 1e-6
 """A measurement is tested only if its residual keeps at least this share of its variance."""
 
 
-MAY_BE_ZERO = ("correlation", "radius_error", "scale_error", "steering_offset_error")
+MAY_BE_ZERO: Final = ("correlation", "radius_error", "scale_error", "steering_offset_error")
 """Names of the fields of ``Noise`` that may be 0."""
 
 
@@ -243,7 +246,6 @@ def fit_twist(
     direction is the arc length z_T = -a asin(n . u / a), where n is the normal of the measured
     direction.
     """
-    sqrt = math.sqrt
     ratio2, angle2, floor2, slip2, skid2, gyro2 = noise
     a11, a33 = prior
     a22 = a11
@@ -270,7 +272,7 @@ def fit_twist(
             # direction.  A larger difference between both directions means that the wheel is
             # faulty.
             if t2 < 0.25 * a2 - STILL:
-                k = sqrt(a2) if c * ux + s * uy > 0.0 else -sqrt(a2)
+                k = math.sqrt(a2) if c * ux + s * uy > 0.0 else -math.sqrt(a2)
                 c, s = ux / k, uy / k
                 # Taylor series of a asin(across / a) to third order.
                 z_t -= across * (1.0 + t2 / (6.0 * a2))

@@ -61,7 +61,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.calculators.twist_fit import (
@@ -82,9 +82,9 @@ from thorvaldc.runtime.calculators.twist_fit import (
 )
 from thorvaldc.runtime.se2 import Row3
 
-_FOLLOWING = 0.03
+_FOLLOWING: Final = 0.03
 """Error of a wheel that follows its command, relative to the commanded speed."""
-FOLLOWING_FLOOR = 0.015
+FOLLOWING_FLOOR: Final = 0.015
 """Error (m/s) of a wheel that follows its command, in addition to the relative error.
 
 A wheel that accelerates by 0.75 m/s^2 is so much slower than its command of the last tick.
@@ -161,37 +161,37 @@ def following_error(speed: float) -> float:
     return FOLLOWING_FLOOR + _FOLLOWING * abs(speed)
 
 
-_CREDIBLE = 6.63
+_CREDIBLE: Final = 6.63
 """The fit still uses one of the two measurements of a faulty wheel up to this chi-square.
 
 The number is the 1 % quantile of the chi-square distribution with 1 degree of freedom.
 """
-_NEGLIGIBLE = 9.2
+_NEGLIGIBLE: Final = 9.2
 """A hypothesis has a weight below 1 % if its cost exceeds the smallest cost by this difference."""
-_SUSPECT_PRICE = 6.0
+_SUSPECT_PRICE: Final = 6.0
 """Cost of a hypothesis that trusts the speed of a suspect wheel: odds of 1 to 20."""
-_DEVIATION_PRICE = 5.0
+_DEVIATION_PRICE: Final = 5.0
 """Cost of a deviating wheel that is rejected, and of a hypothesis that trusts deviating wheels.
 
 Encoders get stuck one by one, but a load delays all wheels at once.
 """
-COMMANDED_SPEED = 0.05
+COMMANDED_SPEED: Final = 0.05
 """Commanded speed (m/s) from which a wheel can contradict its command."""
-_SUSPECT_SHARE = 0.2
+_SUSPECT_SHARE: Final = 0.2
 """A wheel stands or turns backwards if its speed is below this share of the commanded speed."""
-_COMMON_LAG = 0.25
+_COMMON_LAG: Final = 0.25
 """Largest difference of the shares of their commands that wheels with a common lag reach."""
-_STANDING = 0.005
+_STANDING: Final = 0.005
 """Speed (m/s) below which a wheel stands."""
-_UNCONFIRMED = 0.75
+_UNCONFIRMED: Final = 0.75
 """Share of a measured speed in its own estimate from which no other wheel confirms it."""
-_LEAST_WEIGHT = 0.1
+_LEAST_WEIGHT: Final = 0.1
 """Least weight of a likely hypothesis in the covariance: the truth is within 3.2 sigma."""
-_MIN_PROBABILITY = 0.6
+_MIN_PROBABILITY: Final = 0.6
 """Least probability at which a single faulty wheel is named: it exceeds all others clearly."""
-_MIN_PAIR_PROBABILITY = 0.97
+_MIN_PAIR_PROBABILITY: Final = 0.97
 """Least probability at which two faulty wheels are named."""
-_PAIR_SEEDS = 3
+_PAIR_SEEDS: Final = 3
 """Number of the most likely single faulty wheels that the search extends to pairs of wheels."""
 
 

@@ -41,7 +41,7 @@ import enum
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from thorvaldc.can.canopen import NmtCommand, NmtState
 from thorvaldc.can.frame import ErrorState
@@ -106,9 +106,9 @@ class StateChange(NamedTuple):
     reason: str
 
 
-HOME_NOT_FOUND = "the steering did not find its home position"
+HOME_NOT_FOUND: Final = "the steering did not find its home position"
 """Begin of the reason of a fault."""
-READING_SHARE = 2.0
+READING_SHARE: Final = 2.0
 """Longest time of the reading of all objects, as a multiple of the time without a lost frame."""
 
 

@@ -6,6 +6,7 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Iterator, Sequence
+from typing import Final
 
 from thorvaldc.can import canopen
 from thorvaldc.can.frame import CanFrame, CanInterface, ErrorState
@@ -22,19 +23,19 @@ from thorvaldc.runtime.can_base.foreign_frame_relay import Relay
 
 OCCASIONAL_AT_REST, OCCASIONAL_DRIVING = 8, 1
 """Largest number of occasional frames in a cycle: at rest, and while the robot drives."""
-RELAYED_PER_CYCLE = 4
+RELAYED_PER_CYCLE: Final = 4
 """Largest number of frames in a cycle that are relayed to foreign devices."""
-REPORT_KINDS = ("pdo", "broadcast")
+REPORT_KINDS: Final = ("pdo", "broadcast")
 """Kinds of frames in which nodes report measurements."""
-DEVICE_TIMEOUT = 1.0
+DEVICE_TIMEOUT: Final = 1.0
 """Time (s) without a report after which a warning names the IO board."""
-SEND_FAILURES = 3
+SEND_FAILURES: Final = 3
 """Number of incomplete cycles in a row after which the robot stops."""
-LONGEST_DELAY = 0.5
+LONGEST_DELAY: Final = 0.5
 """Longest time (s) for which the process of a simulated bus may run late."""
-EXTRA_RESPONSES = 2.0
+EXTRA_RESPONSES: Final = 2.0
 """Largest number of SDO responses without request."""
-_ROUNDING = 1e-6
+_ROUNDING: Final = 1e-6
 """Tolerance (s) for the rounding of times."""
 
 

@@ -35,7 +35,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping
-from typing import Any
+from typing import Any, Final
 
 from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.can.frame import CanFrame, CanInterface
@@ -57,7 +57,7 @@ from thorvaldc.runtime.can_base.motor_controller import Axis, Intent
 from thorvaldc.runtime.mypyc_marks import mypyc_attr
 from thorvaldc.runtime.service_table import Service
 
-SEND_TIME = 0.25
+SEND_TIME: Final = 0.25
 """Longest waiting time of one frame for room in the send queue, as a share of the cycle."""
 
 

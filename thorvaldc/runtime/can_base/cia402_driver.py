@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import ClassVar, Final
 
 from thorvaldc.can import canopen
 from thorvaldc.can.frame import CanFrame
@@ -12,15 +12,15 @@ from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorContr
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 from thorvaldc.runtime.mypyc_marks import mypyc_attr
 
-HOMING_SETTLED = 3
+HOMING_SETTLED: Final = 3
 """Number of cycles after the start of a homing in which the homing result is ignored.
 
 In these cycles a drive may still report the result of the previous homing."""
-RESET_CYCLES = 5
+RESET_CYCLES: Final = 5
 """Number of cycles in which a drive must leave the state FAULT after a fault reset."""
 
-_FAULT_STATES = (canopen.DriveState.FAULT, canopen.DriveState.FAULT_REACTION_ACTIVE)
-_STEPS_TO_ENABLED = {
+_FAULT_STATES: Final = (canopen.DriveState.FAULT, canopen.DriveState.FAULT_REACTION_ACTIVE)
+_STEPS_TO_ENABLED: Final = {
     canopen.DriveState.SWITCH_ON_DISABLED: canopen.ControlWord.SHUTDOWN,
     canopen.DriveState.READY_TO_SWITCH_ON: canopen.ControlWord.SWITCH_ON,
     canopen.DriveState.SWITCHED_ON: canopen.ControlWord.ENABLE_OPERATION,

@@ -6,7 +6,7 @@ import abc
 import enum
 import math
 from collections.abc import Callable, Iterator, Mapping
-from typing import ClassVar, NamedTuple, TypeVar
+from typing import ClassVar, Final, NamedTuple, TypeVar
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics import DiagnosticError
@@ -18,18 +18,18 @@ from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 from thorvaldc.runtime.mypyc_marks import mypyc_attr
 
 T = TypeVar("T")
-STANDING = 0.02
+STANDING: Final = 0.02
 """Speed (rad/s) below which a wheel or a steering joint counts as standing."""
-FRESH = 0.2
+FRESH: Final = 0.2
 """Age (s) up to which a report tells the present motion of a wheel."""
-IN_POSITION = 0.01
+IN_POSITION: Final = 0.01
 """Largest deviation (rad) of a steering joint that has reached its target angle."""
 
-JUMP = 0.1
+JUMP: Final = 0.1
 """Largest difference (rad) of two reported steering angles that the motion cannot explain."""
-JUMP_SPEED = 1.5
+JUMP_SPEED: Final = 1.5
 """Largest speed of a steering joint, as a multiple of the top speed of its motor."""
-JUMP_TIME = 0.04
+JUMP_TIME: Final = 0.04
 """Shortest time (s) of motion between two reports, because adapters delay single frames."""
 
 
@@ -385,7 +385,7 @@ def _axes(robot: Robot, node: Node) -> Iterator[Axis]:
             yield Axis(actuator, wheels[actuator.joint], channel.name)
 
 
-PLUGINS: PluginTable[MotorController] = PluginTable(
+PLUGINS: Final[PluginTable[MotorController]] = PluginTable(
     "thorvaldc.motor_controllers",
     MotorController,
     {

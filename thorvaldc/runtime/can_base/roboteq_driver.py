@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import ClassVar
+from typing import ClassVar, Final
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Bus, Node, ObjectValue, Robot
@@ -30,14 +30,17 @@ from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorContr
 from thorvaldc.runtime.mypyc_marks import mypyc_attr
 
 # Operating modes of a channel of the Roboteq motor controller.
-DRIVE, HOME, DECOUPLED = 0, 1, 2
+DRIVE: Final = 0
+HOME: Final = 1
+DECOUPLED: Final = 2
 # Bits of the configuration word in TPDO 4.
-HOMED, HOMING = 0x01, 0x02
+HOMED: Final = 0x01
+HOMING: Final = 0x02
 
-MODE_REPEAT = 1.0
+MODE_REPEAT: Final = 1.0
 """Time (s) after which the modes are sent again, because the script does not report modes."""
-_ROUNDING = 1e-6
-FAST_CONSTANTS = 100
+_ROUNDING: Final = 1e-6
+FAST_CONSTANTS: Final = 100
 """Period (ms) of TPDO 4 while the motors are off or homing; the normal period is seconds."""
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 from thorvaldc.model import FrameDefinition
 
-_FORMATS = {
+_FORMATS: Final = {
     (8, False): "B",
     (8, True): "b",
     (16, False): "H",
@@ -20,7 +20,7 @@ _FORMATS = {
     (64, True): "q",
 }
 """Format letters of ``struct`` for integers, by length (bits) and ``True`` for signed."""
-_FLOAT_FORMATS = {32: "f", 64: "d"}
+_FLOAT_FORMATS: Final = {32: "f", 64: "d"}
 """Format letters of ``struct`` for floating-point numbers, by length (bits)."""
 
 

@@ -38,7 +38,7 @@ import enum
 import math
 from collections import deque
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.model import Robot, stopping
@@ -332,24 +332,24 @@ class StopLadder:
 #
 #     OFF            it stands; a motor that turns without torque is pushed by hand, or rolls
 
-LIMITS = motor_controller.FollowLimits()
-REST_TRAVEL = 0.5
+LIMITS: Final = motor_controller.FollowLimits()
+REST_TRAVEL: Final = 0.5
 """Longest travel (rad) of a wheel that is commanded to stand."""
-GRACE = 0.15
+GRACE: Final = 0.15
 """Time (s) after the reaction time of a stop in which a motor need not slow down yet."""
-STOP_SHARE = 0.5
+STOP_SHARE: Final = 0.5
 """Share of the deceleration of a motor with which it must slow down at least in a quick stop.
 
 A loaded robot brakes more slowly, and more slowly still down a slope."""
-LONGEST_STEP = 0.1
+LONGEST_STEP: Final = 0.1
 """Longest time (s) between two control cycles in which a wheel counts as travelling."""
-TOO_FAST_TIME = 0.15
+TOO_FAST_TIME: Final = 0.15
 """Time (s) for which a motor may be faster than promised in a stop."""
-SHORTEST = 0.1
+SHORTEST: Final = 0.1
 """Shortest time (s) of a deviation that counts."""
-SETTLED = 0.1
+SETTLED: Final = 0.1
 """Time (s) at rest after which a motor stands."""
-REPORT_AGE = 0.2
+REPORT_AGE: Final = 0.2
 """Age (s) of the newest report of a motor above which its motion is unknown."""
 
 
@@ -569,9 +569,9 @@ class MotionSupervision:
         return (s.axis for s in self._stoppers if abs(s.axis.velocity) > motor_controller.STANDING)
 
 
-RESET_TIME = 2.0
+RESET_TIME: Final = 2.0
 """Time (s) in which a node sends its boot-up message after an NMT reset."""
-NMT_REPEAT = 0.2
+NMT_REPEAT: Final = 0.2
 """Time (s) after which an NMT stop is sent again, because a frame may be lost."""
-NO_WATCHDOG = 1.0
+NO_WATCHDOG: Final = 1.0
 """Time (s) without commands after which a controller without a known watchdog is judged."""

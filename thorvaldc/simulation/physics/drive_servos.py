@@ -35,17 +35,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from thorvaldc.model import Actuator, Brake, Robot
 from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
-_JOINT = 0  # mjTRN_JOINT of MuJoCo
-_ELLIPSOID = 4  # mjGEOM_ELLIPSOID of MuJoCo
-RELEASE_TIME = 0.3
+_JOINT: Final = 0  # mjTRN_JOINT of MuJoCo
+_ELLIPSOID: Final = 4  # mjGEOM_ELLIPSOID of MuJoCo
+RELEASE_TIME: Final = 0.3
 """Time (s) after a stop command in which the set point of a loaded drive follows the joint."""
-RELEASE_LOAD = 0.3
+RELEASE_LOAD: Final = 0.3
 """Share of the robot's weight as a driving force, above which the drives release it at a stop.
 
 The share is that of a slope of 17 degrees.
@@ -144,8 +144,10 @@ class DriveServos:
                 self._reset(now)
             return
         self._time = now
-        act, ctrl = self._act.tolist(), self._ctrl.tolist()
-        qpos, qvel = self._qpos.tolist(), self._qvel.tolist()
+        act: list[float] = self._act.tolist()
+        ctrl: list[float] = self._ctrl.tolist()
+        qpos: list[float] = self._qpos.tolist()
+        qvel: list[float] = self._qvel.tolist()
         commands, stops = self._commands, self._stops
         changed = False
         for i, servo in enumerate(self._servos):
@@ -218,7 +220,7 @@ def _colliding_geoms(model: Any, body: int) -> list[int]:
 # A servo overcomes the friction of its own gear, so the friction of a joint with power is
 # unchanged.
 
-IMPEDANCE = 0.9999
+IMPEDANCE: Final = 0.9999
 """Impedance of the friction of a joint without power (``solimp`` of MuJoCo)."""
 
 

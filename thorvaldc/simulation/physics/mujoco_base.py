@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
@@ -12,7 +13,7 @@ from thorvaldc.simulation.physics.drive_servos import DriveServos, MotorsWithout
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.physics.sim_base import GroundTruth, SimulatedJoints, WheelErrors
 
-LONGEST_STEP = 0.2
+LONGEST_STEP: Final = 0.2
 """Largest time (s) between two commands for which ``write`` adds the feed-forward term."""
 
 
@@ -106,6 +107,7 @@ class MujocoBase(SimulatedJoints, GroundTruth):
         self.positions = data.qpos[base : base + last_q + 1]
         self.velocities = data.qvel[base_velocity : base_velocity + last_v + 1]
         self._base_qpos = data.qpos[base : base + 7]
+        self._ctrl = data.ctrl
         self._voltages: list[tuple[int, int, float]] = []
         if open_loop:
             self._open_speed_loops()
@@ -142,7 +144,8 @@ class MujocoBase(SimulatedJoints, GroundTruth):
         self.servos.limit()
         ratios, offsets = self._ratios, self._offsets
         # Reading a single number from a list is several times faster than from a numpy array.
-        qpos, qvel = self.positions.tolist(), self.velocities.tolist()
+        qpos: list[float] = self.positions.tolist()
+        qvel: list[float] = self.velocities.tolist()
         speeds, positions = [0.0] * self._n, [0.0] * self._n
         angles, rates = [0.0] * self._n, [0.0] * self._n
         for i, q, v in self.spin_joints:
@@ -171,7 +174,7 @@ class MujocoBase(SimulatedJoints, GroundTruth):
         0.1 s and the steering lags by 0.02 s.  While a robot turns into a curve, the wheel speeds
         would then be later than the steering angles.
         """
-        ctrl = self.scene.data.ctrl
+        ctrl = self._ctrl
         speeds, angles, ratios, offsets = (
             commands.speeds,
             commands.angles,

@@ -10,17 +10,17 @@ import math
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, Final
 
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.simulation.physics import fleet_reader
 
-SCENE = "mjcf/scene.xml"
-HOME = "home"
+SCENE: Final = "mjcf/scene.xml"
+HOME: Final = "home"
 SceneFiles = Path | str | Mapping[str, bytes]
 Prepare = Callable[[Any], None] | None
-_DIVERGED_SPEED = 1e4
+_DIVERGED_SPEED: Final = 1e4
 """Norm of all joint speeds (m/s, rad/s) from which a simulation counts as diverged."""
 
 
@@ -137,7 +137,8 @@ class MujocoScene:
         """Counts simulation steps that were run, and notes whether the simulation diverged."""
         self.steps += steps
         squares = 0.0
-        for speed in self.data.qvel.tolist():
+        speeds: list[float] = self.data.qvel.tolist()
+        for speed in speeds:
             squares += speed * speed
         # A joint speed that becomes nan stays nan, so that a test after the last simulation step is
         # enough.  A comparison with nan is false, so that `not <` also detects nan.
@@ -257,7 +258,7 @@ def _unreadable(scene: str, message: str) -> DiagnosticError:
 
 # -- collisions ------------------------------------------------------------------------------------
 
-DRIVABLE = ("ground", "rail", "kerb")
+DRIVABLE: Final = ("ground", "rail", "kerb")
 """First parts of the names of the geoms on which wheels may roll."""
 
 

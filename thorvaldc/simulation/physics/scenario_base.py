@@ -6,7 +6,7 @@ import hashlib
 import math
 import random
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 from thorvaldc.model import Robot, Zone
 from thorvaldc.model.scenario import Noise, WheelFault
@@ -139,7 +139,7 @@ class _WheelGround:
         self._model.dof_frictionloss[self._dof] = max(loss, 0.0)
 
 
-_WHEEL_ERRORS = ("radius_error", "steering_offset")
+_WHEEL_ERRORS: Final = ("radius_error", "steering_offset")
 
 
 class _Readings:

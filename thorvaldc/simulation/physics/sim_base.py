@@ -7,7 +7,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from thorvaldc.diagnostics import DiagnosticError, did_you_mean
 from thorvaldc.model import Actuator, Robot
@@ -96,7 +96,7 @@ def coasting_of(robot: Robot, motor: Actuator) -> Coasting:
     return Coasting(free, braked, motor.brake.closing_time if motor.brake is not None else 0.0)
 
 
-MAX_STEP = 0.5
+MAX_STEP: Final = 0.5
 """Longest time (s) between two reads in which the base moves.
 
 After a longer time, the base assumes that the driver was suspended."""
@@ -334,14 +334,14 @@ def _error(robot: Robot, message: str, hint: str | None = None) -> DiagnosticErr
 # the wheels roll.  A steered wheel gives way only while it rolls (``RELAXATION_LENGTH``), so that
 # wheels that turn on the spot scrub as on a real floor.
 
-RELAXATION_LENGTH = 0.15
+RELAXATION_LENGTH: Final = 0.15
 """Distance (m) on which a rolling wheel gives way by 1 rad.
 
 A wheel that turns on the spot keeps the commanded angle, although the robot moves a little.
 """
-_WITHOUT_POWER = 1e-2
+_WITHOUT_POWER: Final = 1e-2
 """Weight of a wheel without power in the fit of the twist; that of the other wheels is 1."""
-_LEAST_SPEED = 1e-3
+_LEAST_SPEED: Final = 1e-3
 """Ground speed (m/s) of a wheel below which the direction of motion of the wheel is undefined."""
 
 
