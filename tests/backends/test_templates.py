@@ -12,6 +12,7 @@ import jinja2
 import pytest
 
 from tests.examples import example_fleet, example_robot
+from thorvaldc.backends import templates
 from thorvaldc.backends.ros2 import fleet_package, package_of
 from thorvaldc.backends.templates import Templates
 
@@ -22,6 +23,31 @@ def test_a_value_that_looks_like_a_placeholder_stays_as_it_is() -> None:
     assert "<description>{{ package }} <b></description>" in text
     with pytest.raises(jinja2.UndefinedError, match="description"):
         Templates("ros2", {"quoted": str, "xml": str}).render("package.xml", package="a")
+
+
+def test_templates_are_compiled_once_and_again_after_a_change(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def text(value: str) -> str:
+        return Templates("notes").render("note.txt", value=value)
+
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    monkeypatch.setattr(templates, "data_folder", lambda name: tmp_path)
+    note = tmp_path / "notes" / "note.txt"
+    note.parent.mkdir()
+    note.write_text("one {{ value }}", encoding="utf-8")
+    (note.parent / "__pycache__").write_text("no folder", encoding="utf-8")
+    assert text("a") == "one a"
+    (note.parent / "__pycache__").unlink()
+    assert text("b") == "one b"
+    with monkeypatch.context() as patch:
+        patch.setattr(jinja2.Environment, "compile", None)
+        assert text("c") == "one c"
+    note.write_text("two {{ value }}", encoding="utf-8")
+    assert text("d") == "two d"
+    for file in (note.parent / "__pycache__").iterdir():
+        file.write_bytes(file.read_bytes()[:-9])
+    assert text("e") == "two e"
 
 
 def test_the_python_files_of_packages_pass_the_linter(tmp_path: Path) -> None:
