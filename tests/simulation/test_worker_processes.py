@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.child_process import ChildProcess
+from thorvaldc.simulation.worker_processes import ignored_interrupts
 
 POOL = """
 import os, sys, time
@@ -49,3 +50,21 @@ def end_the_parent(tmp_path: Path, program: str, number: signal.Signals) -> None
     process.send_signal(number)
     rest, _ = process.communicate(timeout=60)  # waits until no process holds the pipe
     assert (rest, process.returncode) == ("", -number)
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Windows has no such masks")
+def test_an_interrupt_during_the_start_of_workers_comes_after_it() -> None:
+    reached = []
+
+    def start() -> None:
+        with ignored_interrupts():
+            signal.raise_signal(signal.SIGINT)
+            reached.append(True)
+
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            start()
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    assert reached

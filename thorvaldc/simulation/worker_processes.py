@@ -51,6 +51,8 @@ def become_worker(prepare: Callable[[], None] | None = None) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if hasattr(signal, "pthread_sigmask"):  # its own children begin without `ignored_interrupts`
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
     threading.Thread(target=_end_after_parent, daemon=True).start()
     if prepare is not None:
         prepare()
@@ -67,16 +69,24 @@ def _end_after_parent() -> None:
 def ignored_interrupts() -> Iterator[None]:
     """Makes all child processes ignore Ctrl-C that start in the ``with`` block.
 
-    A child process that does not ignore Ctrl-C during its start would print a traceback.
+    A child process that does not ignore Ctrl-C during its start would print a traceback.  This
+    process is interrupted at the end of the block at the latest.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if not hasattr(signal, "pthread_sigmask"):  # on Windows, where a Ctrl-C in the block is lost
+        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, handler)
+        return
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])  # children inherit it
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def processors() -> int:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.workshop import CART, TETRAHEDRON, Workshop
 from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY, Library
+from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Robot
 
@@ -49,6 +52,18 @@ def test_type_name_is_the_folder_path(tmp_path: Path) -> None:
     assert library.exists("flat")
     assert not library.exists("flat/one")
     assert list(report) == []
+
+
+def test_a_module_with_another_document_has_values_of_its_own() -> None:
+    library = Library([])
+    module = library.load("drive/standard", ASKED, Report())
+    assert module is not None
+    text = f"params: {{mass: {{quantity: mass, default: %d kg, description: A., {SOURCE}}}}}"
+    for mass in range(50):  # a new document often has the address of one that was deleted
+        document = read_text((text % mass).encode(), "module.yaml", Report())
+        assert document is not None
+        changed = replace(module, document=document)
+        assert Scope(changed, {}, library, Report(), None).parameter_values() == (mass,)
 
 
 def test_priority_of_library_folders(tmp_path: Path) -> None:

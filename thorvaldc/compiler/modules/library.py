@@ -51,8 +51,9 @@ class ModuleType:
     folder: Path
     display: str
     document: Node
-    elaborated: dict[Any, Any] = field(default_factory=dict)
-    constants: dict[int, Any] = field(default_factory=dict)
+    # A copy with another document (`replace`) has caches of its own.
+    elaborated: dict[Any, Any] = field(default_factory=dict, init=False)
+    constants: dict[int, Any] = field(default_factory=dict, init=False)
 
     @property
     def category(self) -> str:

@@ -189,8 +189,7 @@ class _ChangedLibrary(Library):
         if module is None or module.display not in self._changes:
             return module
         document = with_values(module.document, self._changes[module.display])
-        # The cache of the module type belongs to the values of the file.
-        self._changed[name] = replace(module, document=document, elaborated={})
+        self._changed[name] = replace(module, document=document)
         return self._changed[name]
 
 
