@@ -98,6 +98,6 @@ def _bytecode_cache(folder: Path) -> FileSystemBytecodeCache:
                     super().dump_bytecode(bucket)
 
     # What jinja2 does not compare: its own version, and the options in this file.
-    stamp = sum(os.stat(file).st_mtime_ns for file in (compiler.__file__, __file__))
-    pattern = f"{sys.implementation.cache_tag}-{stamp:x}-%s.cache"
+    times = [f"{os.stat(file).st_mtime_ns:x}" for file in (compiler.__file__, __file__)]
+    pattern = f"{'-'.join([sys.implementation.cache_tag or '', *times])}-%s.cache"
     return BytecodeCache(str(folder / "__pycache__"), pattern)
