@@ -48,6 +48,8 @@ def test_templates_are_compiled_once_and_again_after_a_change(
     for file in (note.parent / "__pycache__").iterdir():
         file.write_bytes(file.read_bytes()[:-9])
     assert text("e") == "two e"
+    monkeypatch.setattr(templates, "__file__", "/nowhere/thorvaldc.zip/templates.pyc")
+    assert text("f") == "two f"
 
 
 def test_the_python_files_of_packages_pass_the_linter(tmp_path: Path) -> None:

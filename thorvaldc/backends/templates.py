@@ -76,11 +76,11 @@ class Templates:
         return self.environment.get_template(name).render(values)
 
 
-def _bytecode_cache(folder: Path) -> FileSystemBytecodeCache:
+def _bytecode_cache(folder: Path) -> FileSystemBytecodeCache | None:
     """Return the place of the compiled templates of a folder, beside them as that of a module.
 
     The compilation takes a tenth of the time of a build.  A text that has changed is compiled
-    again.
+    again.  ``None`` where modules are no files, as in a zip file.
     """
     from jinja2 import FileSystemBytecodeCache, compiler
 
@@ -98,6 +98,9 @@ def _bytecode_cache(folder: Path) -> FileSystemBytecodeCache:
                     super().dump_bytecode(bucket)
 
     # What jinja2 does not compare: its own version, and the options in this file.
-    times = [f"{os.stat(file).st_mtime_ns:x}" for file in (compiler.__file__, __file__)]
+    try:
+        times = [f"{os.stat(file).st_mtime_ns:x}" for file in (compiler.__file__, __file__)]
+    except OSError:
+        return None
     pattern = f"{'-'.join([sys.implementation.cache_tag or '', *times])}-%s.cache"
     return BytecodeCache(str(folder / "__pycache__"), pattern)
