@@ -17,12 +17,12 @@ from dataclasses import replace
 from itertools import pairwise
 
 from bench.figure import Figure, is_compiled
-from bench.robots import example
+from bench.robots import drives_with, example
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.runtime.driven_robot import DrivenRobot
-from thorvaldc.runtime.driver import BaseDriver, DriveMode, DriverState
-from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.driver import BaseDriver, DriverState
+from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.physics.sim_base import SimBase
 from thorvaldc.simulation.worker_processes import processors
 
@@ -68,13 +68,13 @@ def _run(robot: Robot) -> tuple[list[float], list[float], int]:
     cycle (s), both sorted, and the number of skipped cycles.
     """
     driven = DrivenRobot(robot, SimBase(robot))
+    command = drives_with(driven, TWIST)
     begins: list[float] = []
     work: list[float] = []
 
     def feed(driver: BaseDriver, now: float) -> None:
         begins.append(time.perf_counter())
-        waiting = not driven.armed or driver.state.mode is DriveMode.WAITING
-        driver.command(ZERO_TWIST if waiting else TWIST, now)
+        command(driver, now)
 
     def watch(_: DrivenRobot, state: DriverState) -> None:
         work.append(time.perf_counter() - begins[-1])

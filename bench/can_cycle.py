@@ -16,16 +16,16 @@ from dataclasses import replace
 from itertools import pairwise
 
 from bench.figure import ROOT, Figure
-from bench.robots import example
+from bench.robots import drives_with, example
 from thorvaldc.can.open_interface import open_interfaces
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot
-from thorvaldc.runtime.driver import BaseDriver, DriveMode, DriverState
+from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.pace import Timing
-from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.se2 import Twist
 
 SECONDS = float(os.environ.get("CAN_CYCLE_SECONDS", "20"))
 TWIST = Twist(0.3, 0.0, 0.2)
@@ -94,16 +94,10 @@ def _run(robot: Robot, channel: str) -> tuple[DrivenRobot, list[float], list[str
     driven = DrivenRobot(robot, base, clock, keep_starts=True)
     work: list[float] = []
 
-    def feed(driver: BaseDriver, now: float) -> None:
-        # The robot is armed automatically after zero, and after a gap in time it needs zero too.
-        if driven.ready:
-            waiting = not driven.armed or driver.state.mode is DriveMode.WAITING
-            driver.command(ZERO_TWIST if waiting else TWIST, now)
-
     def watch(_: DrivenRobot, state: DriverState) -> None:
         work.append(clock.now - state.time)
 
-    driven.feed = feed
+    driven.feed = drives_with(driven, TWIST)
     gc.collect()
     gc.freeze()
     remaining, faults = SECONDS, []

@@ -9,8 +9,13 @@ from typing import TYPE_CHECKING, Any
 from bench.figure import ROOT
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from thorvaldc.model import Robot
     from thorvaldc.runtime.calculators import WheelGeometry
+    from thorvaldc.runtime.driven_robot import DrivenRobot
+    from thorvaldc.runtime.driver import BaseDriver
+    from thorvaldc.runtime.se2 import Twist
 
 
 def example(name: str) -> Path:
@@ -48,3 +53,17 @@ def wheel(name: str, x: float, y: float, **changes: Any) -> WheelGeometry:
         max_rate=4.0, max_rate_change=20.0,
     )  # fmt: skip
     return replace(geometry, **changes)
+
+
+def drives_with(driven: DrivenRobot, twist: Twist) -> Callable[[BaseDriver, float], None]:
+    """Returns a ``feed`` of a robot with automatic arming: a zero twist until it is armed, and
+    after a gap in time, else ``twist``."""
+    from thorvaldc.runtime.driver import DriveMode
+    from thorvaldc.runtime.se2 import ZERO_TWIST
+
+    def feed(driver: BaseDriver, now: float) -> None:
+        if driven.ready:
+            waiting = not driven.armed or driver.state.mode is DriveMode.WAITING
+            driver.command(ZERO_TWIST if waiting else twist, now)
+
+    return feed

@@ -220,8 +220,11 @@ def test_a_frozen_process_is_a_gap_of_buses_that_keep_to_real_time(
     machine.robot.shutdown()
 
 
+@pytest.mark.parametrize("stamped", [False, True])
 @pytest.mark.parametrize(("waited", "counts"), [(0.1, True), (0.9, False), (3600.0, False)])
-def test_a_zero_twist_from_a_gap_does_not_count_after_it(waited: float, counts: bool) -> None:
+def test_a_zero_twist_from_a_gap_does_not_count_after_it(
+    waited: float, counts: bool, stamped: bool
+) -> None:
     """The middleware delivers it late, on a busy computer; an hour is a clock that is wrong."""
     machine = Machine()
     machine.run(0.1)
@@ -229,17 +232,25 @@ def test_a_zero_twist_from_a_gap_does_not_count_after_it(waited: float, counts: 
     machine.drive()
     machine.time += 2.0  # the process was frozen
     machine.run(0.8)
-    inputs = TwistInputs(
-        machine.robot.driver.robot, {"max_command_age": 0.5, "max_command_lead": 0}
-    )
+    values = {"max_command_age": 0.5, "max_command_lead": 0, "base_frame_id": "base_link"}
+    inputs = TwistInputs(machine.robot.driver.robot, values)
     zero = SimpleNamespace(x=0.0, y=0.0, z=0.0)
-    message = SimpleNamespace(linear=zero, angular=zero)
-    inputs.publish(machine.robot, SOURCE, message, "", waited=waited)
+    twist = SimpleNamespace(linear=zero, angular=zero)
+    header = SimpleNamespace(frame_id="", stamp=SimpleNamespace(sec=0, nanosec=0))
+    message = SimpleNamespace(header=header, twist=twist)
+
+    def publish() -> None:
+        if stamped:  # with a stamp of zero, which means now
+            inputs.publish_stamped(machine.robot, SOURCE, message, "", machine.time, waited)
+        else:
+            inputs.publish(machine.robot, SOURCE, twist, "", waited=waited)
+
+    publish()
     assert (inputs.refused == {}) == counts
     machine.run(0.05)  # a cycle takes the twist
     assert (machine.run(1.0, FORWARD) > 0.0) == counts
     machine.run(10.0)
-    inputs.publish(machine.robot, SOURCE, message, "", waited=waited)
+    publish()
     machine.run(0.05)
     assert machine.run(1.0, FORWARD) > 0.0
 

@@ -102,5 +102,5 @@ def _bytecode_cache(folder: Path) -> FileSystemBytecodeCache | None:
         times = [f"{os.stat(file).st_mtime_ns:x}" for file in (compiler.__file__, __file__)]
     except OSError:
         return None
-    pattern = f"{'-'.join([sys.implementation.cache_tag or '', *times])}-%s.cache"
-    return BytecodeCache(str(folder / "__pycache__"), pattern)
+    version = "-".join([sys.implementation.cache_tag or "", *times])
+    return BytecodeCache(str(folder / "__pycache__"), f"{version}-%s.cache")

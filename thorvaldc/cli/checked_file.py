@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from thorvaldc.model import Fleet, Robot
 
 FILES_OF_PROCESSES = 20
-"""Least number of files that are checked in several processes, whose start takes as long as the
-check of some files."""
+"""Least number of files that are checked in several processes."""
 
 
 class CheckedFile(NamedTuple):
@@ -25,7 +24,7 @@ class CheckedFile(NamedTuple):
     - ``report``: diagnostics, and accepted warnings.
     - ``sources``: path of the input file for each path in ``report``.
     - ``summary``: name of the model and its size, or empty if the file has errors.
-    - ``missing_limits``: limits that the readers of xacro and meshes did not have so far.
+    - ``missing_limits``: limits that this system does not give to the readers of xacro and meshes.
     """
 
     file: str

@@ -90,20 +90,21 @@ class GuardedLifecycleNode(LifecycleNode):  # type: ignore[misc]
     ) -> Any:
         """Creates a subscription.
 
-        ``timed``: the callback also takes the time (s) at which the message was published, by the
-        clock of the other computer, or ``None`` if the middleware does not know it.
+        ``timed``: the callback also takes the time (s) since the message was published, by the
+        clocks of sender and receiver; 0 if the middleware does not know it.
         """
 
         # Overridden for the subscription to /clock too, which rclpy creates with `use_sim_time`.
-        def take(message: Any, *time_sent: float | None) -> None:
+        def take(message: Any, *waited: float) -> None:
             try:
-                callback(message, *time_sent)
+                callback(message, *waited)
             except Exception as error:
                 self.message_failed(self._logged(f"a message on {topic}", error))
 
         # rclpy gives the information to a function with two parameters.
         def take_timed(message: Any, info: Any) -> None:
-            take(message, info["source_timestamp"] * 1e-9 or None)
+            sent = info["source_timestamp"] * 1e-9
+            take(message, time.time() - sent if sent else 0.0)
 
         taking = take_timed if timed else take
         return super().create_subscription(kind, topic, taking, *rest, **options)
@@ -340,7 +341,7 @@ class BaseDriverNode(GuardedLifecycleNode):
         callback: Callable[..., None] = self._on_stamped_twist if stamped else self._on_twist
         for source in model.twist_sources:
             take = functools.partial(callback, source.name)
-            add(self.create_subscription(twist, source.topic, take, 1, timed=not stamped))
+            add(self.create_subscription(twist, source.topic, take, 1, timed=True))
         for lock in model.twist_locks:
             add(
                 self.create_subscription(
@@ -420,13 +421,13 @@ class BaseDriverNode(GuardedLifecycleNode):
             return self.robot.now
         return float(self.get_clock().now().nanoseconds) * 1e-9
 
-    def _on_twist(self, source: str, message: Any, sent: float | None) -> None:
-        waited = time.time() - sent if sent is not None else 0.0
-        self.inputs.publish(self.robot, source, message, self.clock_watch.problem, waited=waited)
+    def _on_twist(self, source: str, message: Any, waited: float) -> None:
+        problem = self.clock_watch.problem
+        self.inputs.publish(self.robot, source, message, problem, waited=waited)
 
-    def _on_stamped_twist(self, source: str, message: Any) -> None:
+    def _on_stamped_twist(self, source: str, message: Any, waited: float) -> None:
         problem, ros_time = self.clock_watch.problem, self.ros_time()
-        self.inputs.publish_stamped(self.robot, source, message, problem, ros_time)
+        self.inputs.publish_stamped(self.robot, source, message, problem, ros_time, waited)
 
     def _on_lock(self, name: str, message: Any) -> None:
         robot = self.robot

@@ -11,10 +11,10 @@ from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.se2 import Twist
 
 LONGEST_WAIT = 10.0
-"""Longest time (s) for which a twist without a stamp can have waited in the middleware.
+"""Longest time (s) that a twist counts as having waited in the middleware.
 
-Its age is the difference of two clocks: a computer whose clock is late is refused so long after a
-gap, and not for ever.
+The time is the difference of the clocks of two computers.  If the clock of the sender is late, its
+twists are refused for at most this time after a gap, and not for ever.
 """
 OWNER = "ROS"
 """Name of all ROS programs as owners of twist sources and stops: ROS does not tell who sends."""
@@ -43,11 +43,18 @@ class TwistInputs:
         self.refused: dict[str, tuple[int, str]] = {}
 
     def publish_stamped(
-        self, robot: DrivenRobot | None, source: str, message: Any, problem: str, ros_time: float
+        self,
+        robot: DrivenRobot | None,
+        source: str,
+        message: Any,
+        problem: str,
+        ros_time: float,
+        waited: float = 0.0,
     ) -> None:
         """Publishes a TwistStamped of a source that arrives at ``ros_time`` (s).
 
-        A stamp of zero means now, as for the controllers of ros2_controllers.
+        A stamp of zero means now, as for the controllers of ros2_controllers.  ``waited``: as for
+        ``publish``.
         """
         header = message.header
         stamp = header.stamp.sec + header.stamp.nanosec * 1e-9
@@ -61,7 +68,7 @@ class TwistInputs:
                 f"the twist is in the frame `{header.frame_id}`; `{base_frame}` and an empty frame"
                 " are accepted"
             )
-        self.publish(robot, source, message.twist, problem, age)
+        self.publish(robot, source, message.twist, problem, age, waited)
 
     def publish(
         self,
@@ -75,7 +82,8 @@ class TwistInputs:
         """Publishes a ROS twist of a source that is ``age`` seconds old.
 
         - ``problem``: reason why the twist does not count, or an empty text;
-        - ``waited``: real time (s) since it was published, by the clocks of two computers.
+        - ``waited``: real time (s) since the message was published, by the clocks of sender and
+          receiver.
         """
         self.received[source] += 1
         twist = Twist(message.linear.x, message.linear.y, message.angular.z)

@@ -143,6 +143,14 @@ def only_diagnostic(text: str, kind: Kind = "robot") -> Diagnostic:
             "write a length as in `5 mm`",
         ),
         (
+            ROBOT.replace("{type: x}", "{type: x, mount: {parent: b, xyz: [0, 0, 0.5 kg]}}"),
+            "robot",
+            "wrong-dimension",
+            "4:47",
+            "`0.5 kg` is a mass; expected a length",
+            "write a length as in `0.5 m`",
+        ),
+        (
             ROBOT + "driver: {rate: '${50}'}\n",
             "robot",
             "expression-not-allowed",

@@ -192,7 +192,7 @@ class Library:
             "module-type-unknown",
             f"there is no module type `{name}`",
             node.span,
-            hint=self._unnamed_library(name if is_inside else "")
+            hint=(self._unnamed_library(name) if is_inside else None)
             or self._near_type(name)
             or "`thorvaldc modules list` shows them",
         )
@@ -200,12 +200,10 @@ class Library:
 
     def _unnamed_library(self, name: str) -> str | None:
         """Returns the hint about a folder ``modules`` beside the document, if it has the type."""
-        usual = "modules"
-        if not name or self._base_dir is None:
+        file = f"modules/{name}/{FILE}"
+        if self._base_dir is None or not os.path.isfile(self._base_dir / file):
             return None
-        if not os.path.isfile(self._base_dir / usual / name / FILE):
-            return None
-        return f"`library: [{usual}]` in this file adds {usual}/{name}/{FILE}"
+        return f"`library: [modules]` in this file adds {file}"
 
     def _near_type(self, name: str) -> str | None:
         """Returns the hint with the module types whose names are near ``name``.

@@ -341,11 +341,11 @@ class Scope(values.ValueReader):
             return constants[id(node)]
         if _kind(declaration) == "module" or not _is_constant(node):
             return self._typed(node, declaration, is_default=is_default)
-        report, self.report = self.report, Report()
+        outer, self.report = self.report, Report()
         value = self._typed(node, declaration, is_default=is_default)
-        report, self.report = self.report, report
-        self.report.extend(report)
-        if not len(report):
+        own, self.report = self.report, outer
+        outer.extend(own)
+        if len(own) == 0:  # each use reports its own problems
             constants[id(node)] = value
         return value
 

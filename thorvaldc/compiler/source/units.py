@@ -216,7 +216,10 @@ def _in_unit_of(kind: Quantity, text: str) -> str:
     number = _NUMBER_BEFORE_UNIT.match(text.strip())
     if number is None or ":" in text:
         return f"write {kind} as in `{kind.example}`"
-    quantity = f"{number[0]} {kind.example.partition(' ')[2]}".strip()
+    unit = kind.example.partition(" ")[2]
+    if unit == "mm" and abs(float(number[0])) < 1.0:
+        unit = "m"  # few parts of a robot are below 1 mm
+    quantity = f"{number[0]} {unit}".strip()
     return Proposal(f"write {kind} as in `{quantity}`", quantity, is_example=True)
 
 
