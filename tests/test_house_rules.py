@@ -240,6 +240,19 @@ def test_tests_start_processes_that_end_with_them() -> None:
     assert popen == [], "tests use ChildProcess of tests/child_process.py"
 
 
+def test_tests_of_the_core_import_nothing_from_a_tool() -> None:
+    """`make test-core` runs them without the folders of the tools, and without their tests."""
+    imports = [
+        f"{path.relative_to(ROOT)}:{node.lineno}: {node.module}"
+        for path in TESTS
+        if path.relative_to(ROOT).parts[1] not in ("tools", "docs", "playground", "test_bench.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom)
+        and f"{node.module}.".startswith(("tests.tools.", "thorvaldc.tools."))
+    ]
+    assert imports == []
+
+
 @pytest.mark.xdist_group("tests of one group run in one process")
 def test_groups_are_respected(request: pytest.FixtureRequest) -> None:
     if "PYTEST_XDIST_WORKER" not in os.environ:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.conftest import needs_tools
 from tests.example_packages import thorvaldc
 from tests.examples import FOLDER, example_robot
 from thorvaldc.compiler.pipeline import compile_file, emit
@@ -48,6 +49,7 @@ def test_the_facts_add_the_batteries_up() -> None:
     assert energy.energy == pytest.approx(51.2 * 200 * 3600.0)
 
 
+@needs_tools
 @pytest.mark.slow
 def test_the_faults_of_the_batteries(tmp_path: Path, jk_bms_package: list[str]) -> None:
     only = ("--only", "batter", "--json")

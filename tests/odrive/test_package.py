@@ -11,6 +11,7 @@ import cantools.database
 import pytest
 
 from tests.child_process import ChildProcess
+from tests.cli.conftest import needs_tools
 from tests.example_packages import environment, thorvaldc
 from tests.examples import FOLDER, example_robot
 from thorvaldc.compiler.pipeline import compile_file, emit
@@ -58,6 +59,7 @@ def test_run_on_a_virtual_bus(tmp_path: Path, odrive_package: list[str]) -> None
     assert 1.2 < json.loads(out)["pose"]["x"] < 1.6
 
 
+@needs_tools
 def test_the_first_motion_is_checked(tmp_path: Path, odrive_package: list[str]) -> None:
     """The driver of a single motor needs nothing for it."""
     command = ("can", "commission", ROBOT, "--bus", "virtual", "--report", "first.json")
@@ -69,6 +71,7 @@ def test_the_first_motion_is_checked(tmp_path: Path, odrive_package: list[str]) 
     assert "drive's watchdog acts" in names
 
 
+@needs_tools
 @pytest.mark.slow
 def test_the_faults_of_the_fault_table(tmp_path: Path, odrive_package: list[str]) -> None:
     only = ("--only", "a drive", "--jobs", "2")

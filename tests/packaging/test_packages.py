@@ -19,6 +19,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.conftest import needs_tools
+
 ROOT = Path(__file__).resolve().parents[2]
 
 # One worker runs all these tests: then the packages are built once.
@@ -53,6 +55,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return sdist, wheel
 
 
+@needs_tools
 def test_indexes_accept_the_packages(packages: tuple[Path, Path]) -> None:
     """Also that of the runtime, as `make dist` and the release workflow build them."""
     runtime = packages[0].parent / "runtime"

@@ -13,16 +13,16 @@ import pytest
 
 from tests.can.slcan_adapter import SlcanAdapter
 from tests.child_process import ChildProcess
-from tests.cli.conftest import GOOD, SLOW
+from tests.cli.conftest import GOOD, SLOW, needs_tools
 from tests.cli.test_bus import running
 from tests.packaging import runtime_environment
-from tests.tools.commission.terminal_operator import answer_questions
+from tests.terminal_operator import answer_questions
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
-# One worker runs all these tests: then the wheel is built once.
-pytestmark = pytest.mark.xdist_group("packaging")
+# One worker runs all these tests: then the wheel is built once.  It contains some tools.
+pytestmark = [pytest.mark.xdist_group("packaging"), needs_tools]
 
 ABSENT = ("numpy", "mujoco", "yaml", "jsonschema", "trimesh", "xacro", "jinja2", "cantools")
 ROOMS_LEFT_OUT = ("compiler", "simulation", "backends", "schema")

@@ -12,6 +12,7 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
+from tests.cli.conftest import needs_tools
 from tests.examples import FOLDER, robot_with_meshes
 
 ROOT = Path(__file__).parents[2]
@@ -62,6 +63,7 @@ def products(file: str) -> dict[str, str]:
     return {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
 
 
+@needs_tools
 def test_all_products_are_the_same_without_numpy(tmp_path: Path) -> None:
     for name, data in robot_with_meshes().items():
         (tmp_path / name).write_bytes(data)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.cli.conftest import needs_tools
 from tests.outside_tools import without
 from thorvaldc.simulation.physics.mujoco_scene import SCENE, MujocoScene
 from thorvaldc.simulation.pictures import PictureError, render
@@ -78,6 +79,7 @@ def test_views_and_sizes_as_text() -> None:
             parse_size(text)
 
 
+@needs_tools
 def test_a_picture_shows_the_robot(drawn: Path) -> None:
     from PIL import Image
 
@@ -90,6 +92,7 @@ def test_a_picture_shows_the_robot(drawn: Path) -> None:
     assert black > 0.02
 
 
+@needs_tools
 def test_a_gif_shows_the_robot_moving(drawn: Path) -> None:
     from PIL import Image
 
@@ -103,6 +106,7 @@ def test_a_gif_shows_the_robot_moving(drawn: Path) -> None:
     assert np.mean(abs(last - first).max(axis=2) > 40) > 0.01
 
 
+@needs_tools
 def test_an_mp4_has_its_size_and_rate(drawn: Path) -> None:
     data = (drawn / "run.mp4").read_bytes()
     assert data[4:8] == b"ftyp"

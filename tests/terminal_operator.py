@@ -1,4 +1,4 @@
-"""A terminal at which a test answers the questions of `can commission`."""
+"""A terminal at which a test answers the questions of a command."""
 
 from __future__ import annotations
 
