@@ -27,7 +27,7 @@ from thorvaldc.tools.study.study_run import StudyJournal, StudyRun
 Result = TypeVar("Result")
 EXAMPLES = ROOT / "examples"
 SECONDS = 10.0
-DESIGNS = 256
+DESIGNS = 128
 PROCESSES = 2
 DEMANDED_RATIO = 5.0
 DEMANDED_MEMORY = 1500.0

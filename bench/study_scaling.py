@@ -22,7 +22,7 @@ from thorvaldc.tools.study.dask_cluster import DaskCluster
 from thorvaldc.tools.study.design_evaluation import StudyInputs
 from thorvaldc.tools.study.study_run import StudyJournal, StudyRun
 
-DESIGNS = 512
+DESIGNS = 128
 DEMANDED = 1.8
 
 
