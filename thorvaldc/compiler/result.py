@@ -188,7 +188,7 @@ class Compilation:
         def with_user_paths(diagnostic: Diagnostic) -> Diagnostic:
             span = diagnostic.span
             labels = (Label(with_user_path(label.span), label.text) for label in diagnostic.labels)
-            fixes = (replace(fix, span=with_user_path(fix.span)) for fix in diagnostic.fixes)
+            fixes = (fix._replace(span=with_user_path(fix.span)) for fix in diagnostic.fixes)
             return replace(
                 diagnostic,
                 span=with_user_path(span) if span is not None else None,

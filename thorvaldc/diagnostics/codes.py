@@ -10,8 +10,8 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 SUBJECTS = {
     "1": "YAML",
@@ -29,8 +29,7 @@ STRUCTURE = "1237"
 """First digits of errors in the structure of a document, in whose presence checks are left out."""
 
 
-@dataclass(frozen=True, slots=True)
-class Code:
+class Code(NamedTuple):
     """A diagnostic code.
 
     - ``number``: number of the diagnostic code.  The number of a diagnostic code, for example

@@ -31,8 +31,7 @@ import functools
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from thorvaldc.compiler.source import units
 from thorvaldc.compiler.source.unit_table import Dimension
@@ -168,8 +167,7 @@ _HINTS = {
 END = "end"
 
 
-@dataclass(slots=True)
-class Token:
+class Token(NamedTuple):
     """A token of an expression, such as a number, a name or an operator.
 
     - ``kind``: kind of the token, which is number, name, text, operator, keyword or end.
