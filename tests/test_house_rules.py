@@ -8,9 +8,12 @@ from collections import Counter
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
+from typing import TypeGuard
 
 import pytest
 
+# One worker runs these tests: then the package is parsed once.
+pytestmark = pytest.mark.xdist_group("house rules")
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "thorvaldc"
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -146,7 +149,7 @@ def test_floats_are_added_alike_on_every_python(trees: dict[Path, ast.Module]) -
         integer_sums = {
             node.func
             for node in ast.walk(tree)
-            if isinstance(node, ast.Call)
+            if is_call(node, "sum")
             and (ast.unparse(node) in INTEGER_SUMS or (node.args and counts(node.args[0])))
         }
         sums += [
@@ -157,14 +160,31 @@ def test_floats_are_added_alike_on_every_python(trees: dict[Path, ast.Module]) -
     assert sums == []
 
 
+def is_call(node: ast.AST, name: str) -> TypeGuard[ast.Call]:
+    """Whether a node calls a function or a method whose dotted name ends with ``name``."""
+    if not isinstance(node, ast.Call):
+        return False
+    last = getattr(node.func, "attr", getattr(node.func, "id", None))
+    # Most calls differ in the last part of the name already: `unparse` takes long.
+    return last == name.split(".")[-1] and ast.unparse(node.func).endswith(name)
+
+
 def calls(trees: dict[Path, ast.Module], name: str) -> set[str]:
     """Returns the files of the package that call a function or a method ``name``."""
     return {
         path.relative_to(PACKAGE).as_posix()
         for path, tree in trees.items()
         for node in ast.walk(tree)
-        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith(name)
+        if is_call(node, name)
     }
+
+
+def nodes_with(text: str) -> Iterator[tuple[Path, ast.AST]]:
+    """Yields the nodes of all files of the tests in which ``text`` occurs."""
+    for path in TESTS:
+        content = path.read_text(encoding="utf-8")
+        if text in content:
+            yield from ((path, node) for node in ast.walk(ast.parse(content)))
 
 
 def test_json_of_others_is_read_in_one_place(trees: dict[Path, ast.Module]) -> None:
@@ -233,9 +253,8 @@ def test_columns_and_markdown_are_laid_out_in_one_place(
 def test_tests_start_processes_that_end_with_them() -> None:
     popen = [
         f"{path.relative_to(ROOT)}:{node.lineno}"
-        for path in TESTS
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Popen")
+        for path, node in nodes_with("Popen")
+        if is_call(node, "Popen")
     ]
     assert popen == [], "tests use ChildProcess of tests/child_process.py"
 
@@ -244,20 +263,18 @@ def test_tests_of_the_core_import_nothing_from_a_tool() -> None:
     """`make test-core` runs them without the folders of the tools, and without their tests."""
     imports = [
         f"{path.relative_to(ROOT)}:{node.lineno}: {node.module}"
-        for path in TESTS
+        for path, node in nodes_with(".tools")
         if path.relative_to(ROOT).parts[1] not in ("tools", "docs", "playground", "test_bench.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.ImportFrom)
+        and isinstance(node, ast.ImportFrom)
         and f"{node.module}.".startswith(("tests.tools.", "thorvaldc.tools."))
     ]
     assert imports == []
 
 
-@pytest.mark.xdist_group("tests of one group run in one process")
 def test_groups_are_respected(request: pytest.FixtureRequest) -> None:
     if "PYTEST_XDIST_WORKER" not in os.environ:
         pytest.skip("pytest runs in one process")
-    assert request.node.nodeid.endswith("@tests of one group run in one process")
+    assert request.node.nodeid.endswith("@house rules"), "a group runs in one process"
 
 
 def test_no_modules_import_each_other(trees: dict[Path, ast.Module]) -> None:

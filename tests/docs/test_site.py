@@ -45,6 +45,7 @@ def test_every_link_and_anchor_exists(site: Path) -> None:
     assert list(dead_links(site)) == []
 
 
+@pytest.mark.slow
 def test_the_files_for_language_models(site: Path) -> None:
     """Every page of the navigation, with its text in Markdown."""
     index = (site / "llms.txt").read_text(encoding="utf-8")

@@ -155,6 +155,7 @@ def test_an_error_while_typing_its_fix_and_the_last_robot(visit: Visit) -> None:
     assert page.evaluate("editor.view.state.selection.main.head") == len(TEXT)
 
 
+@pytest.mark.slow
 def test_the_editor_proposes_keys_and_types(visit: Visit) -> None:
     page = visit()
     page.click(".cm-content")
@@ -208,6 +209,7 @@ def test_driving_while_another_part_is_typed(visit: Visit) -> None:
     page.wait_for_selector("#drive[aria-pressed=false]", timeout=WAIT)
 
 
+@pytest.mark.slow
 def test_another_example_is_shown_as_a_whole(visit: Visit) -> None:
     page = visit()
     place = "viewer.camera.position.distanceTo(viewer.controls.target)"
@@ -324,6 +326,7 @@ def test_a_file_that_takes_too_much_ends_and_the_page_goes_on(visit: Visit, faul
     assert not page.evaluate("viewer.isGrey")
 
 
+@pytest.mark.slow
 def test_modules_are_mounted_by_click_and_by_drag(visit: Visit) -> None:
     page = visit()
     page.click("#library summary")
@@ -352,6 +355,7 @@ def test_modules_are_mounted_by_click_and_by_drag(visit: Visit) -> None:
     wait_until(page, lambda: "mount: frame.mid_right}" in page.evaluate("editor.text"))
 
 
+@pytest.mark.slow
 def test_generated_files_are_shown_and_saved(visit: Visit, tmp_path: Path) -> None:
     page = visit()
     page.click("#outputs summary")
@@ -373,6 +377,7 @@ def test_generated_files_are_shown_and_saved(visit: Visit, tmp_path: Path) -> No
         assert packed.read("urdf/robot.urdf") == text
 
 
+@pytest.mark.slow
 def test_each_program_is_listed_with_licence_and_source(visit: Visit, address: str) -> None:
     page = visit()
     text = page.request.get(f"{address}licences.txt").text()
@@ -385,6 +390,7 @@ def test_each_program_is_listed_with_licence_and_source(visit: Visit, address: s
     assert page.get_attribute("#licences", "href") == "licences.txt"
 
 
+@pytest.mark.slow
 def test_a_phone_shows_text_or_robot(visit: Visit) -> None:
     page = visit(viewport=PHONE, has_touch=True)
     assert page.is_visible("#canvas")
@@ -429,6 +435,7 @@ def test_the_page_is_accessible(
     assert problems == []
 
 
+@pytest.mark.slow
 def test_the_link_of_a_page_is_the_link_of_the_documentation(visit: Visit) -> None:
     sys.path.insert(0, str(ROOT / "workshop" / "site"))
     try:
