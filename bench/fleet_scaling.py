@@ -23,7 +23,7 @@ GRIDS = {1: (1, 1), 10: (2, 5), 100: (10, 10)}
 """Rows and columns of the grid by the number of robots."""
 SECONDS = 1.0
 PLAN = (Segment(0.0, Twist(0.8, 0.1, 0.1)), Segment(0.5, Twist(0.8, -0.2, -0.2)))
-ROUNDS = 5
+ROUNDS = 3
 
 
 def figures() -> Iterator[Figure]:
@@ -32,7 +32,7 @@ def figures() -> Iterator[Figure]:
         compiles = [_compiling(path) for path in paths.values()]
         yield _growth(
             "compiling a fleet of 100",
-            dict(zip(GRIDS, least_times(compiles, 3), strict=True)),
+            dict(zip(GRIDS, least_times(compiles, 2), strict=True)),
             1e3,
             "ms",
             "compile and emit of all four targets",

@@ -21,7 +21,7 @@ from thorvaldc.simulation.simulation_run import Simulation
 
 MISSION = ROOT / "examples" / "odometry_experiment" / "ideal.yaml"
 RATE = 100.0  # Hz, of the driver
-ROUNDS = 5
+ROUNDS = 3
 
 
 def figures() -> Iterator[Figure]:

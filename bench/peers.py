@@ -13,7 +13,7 @@ from bench.robots import wheel, wheel_positions
 TICKS = 126
 REPEATS = 8
 """Repetitions of the same ticks in one measurement, so that all caches are warm."""
-ROUNDS = 50
+ROUNDS = 20
 
 
 def figures() -> Iterator[Figure]:

@@ -20,7 +20,7 @@ from typing import Any
 
 from bench.figure import EXAMPLE, ROOT, Figure
 
-ROUNDS = 5
+ROUNDS = 3
 EDITS = 15
 DRIVE_TIME = 10.0
 """Time in s of the drive during which another part of the file is typed."""

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from bench.figure import EXAMPLE, ROOT, Figure, python
 
-ROUNDS = 21
+ROUNDS = 11
 OPTIONS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 SIZE = {"width": 1280, "height": 800}
 WAIT = 30_000  # ms
