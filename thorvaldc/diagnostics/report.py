@@ -22,8 +22,8 @@ class Severity(enum.Enum):
     NOTE = "note"
 
 
-# Every YAML value has a source span: a named tuple takes half the time of a frozen dataclass.  Each
-# command defines these classes: a frozen dataclass takes five times as long.
+# `Span`, `Label` and `Fix` are named tuples for speed: an instance takes half the time of a frozen
+# dataclass, and the class, which each command defines, a fifth.
 class Span(NamedTuple):
     """A range of text in a source file, from ``line`` and ``column`` to ``end_line`` and
     ``end_column``.

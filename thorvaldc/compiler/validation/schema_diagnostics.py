@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Iterable
+from pathlib import PurePath
 from typing import Any
 
 from thorvaldc.compiler.source.node import (
@@ -28,6 +29,8 @@ _TYPE_WORDS = {
     "boolean": "`true` or `false`",
 }
 _AUTO = ("^auto", "^(auto")
+# Required keys of mappings for which people write the path of a module type or a file alone.
+_PATH_KEYS = (["type"], ["robot"], ["scenario"], ["xacro"], ["file"])
 _EXPRESSION = "^\\$\\{.*\\}$"
 _ID_HINT = (
     "a name has lower-case letters, digits and `_`, begins with a letter, and has at most 64"
@@ -301,8 +304,11 @@ class _Explanation:
                 return Proposal(f"write `{elements}`", elements)
         if self.schema.get("type") == "integer" or "integer" in self.schema.get("type", ()):
             return whole_number_hint(self.node)
-        if isinstance(value, str) and "/" in value and self.schema.get("required") == ["type"]:
-            return Proposal(f"write `{{type: {value}}}`", f"{{type: {value}}}")
+        required = self.schema.get("required")
+        is_path = isinstance(value, str) and ("/" in value or PurePath(value).suffix)
+        if is_path and required in _PATH_KEYS:
+            mapping = yaml_text({required[0]: value})
+            return Proposal(f"write `{mapping}`", mapping)
         return None
 
     def example_hint(self) -> str | None:
