@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import subprocess
+from collections.abc import Iterable
 from pathlib import Path
 
 from thorvaldc.compiler.pipeline import compile_file
@@ -40,6 +41,13 @@ SAMPLED_ROBOTS = _sampled_robots()
 """The robots of a test that holds for every robot: the fixed ones, and one that follows from the
 commit.  The variable ``ROBOTS`` names others, such as ``car,lss``; with ``all``, as in
 ``make test-all``, all examples."""
+
+
+def sampled(names: Iterable[str], fixed: Iterable[str]) -> tuple[str, ...]:
+    """Returns the names ``fixed`` of special robots; with ``ROBOTS=all``, all ``names``."""
+    return tuple(names if SAMPLED_ROBOTS == ROBOTS else fixed)
+
+
 os.environ["ROBOTS"] = ",".join(SAMPLED_ROBOTS)  # the same in all processes of a run
 
 

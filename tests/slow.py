@@ -16,3 +16,8 @@ def mostly_slow(values: Iterable[Any], quick: int = 1, slow: int | None = None) 
     marks = [*[()] * quick, *[pytest.mark.slow] * (last - quick)]
     marks += [pytest.mark.exhaustive] * (len(parameters) - last)
     return [pytest.param(value, marks=mark) for value, mark in zip(parameters, marks, strict=False)]
+
+
+def mostly_exhaustive(values: Iterable[Any], quick: int = 1) -> list[Any]:
+    """Returns parameters of which all but the first ``quick`` have the marker `exhaustive`."""
+    return mostly_slow(values, quick, slow=0)

@@ -12,10 +12,9 @@ import pytest
 from tests.backend_files import files_of
 from tests.backends.agreement import differences
 from tests.backends.conftest import write
-from tests.backends.plans import ROBOTS, Plan, build, graft, grafted
+from tests.backends.plans import ROBOTS, SAMPLED_PLANS, Plan, build, graft, grafted
 from tests.backends.seeded_errors import SEEDED_ERRORS, SeededError
-from tests.examples import FLEETS, example_fleet, example_robot
-from tests.examples import ROBOTS as EXAMPLES
+from tests.examples import FLEETS, SAMPLED_ROBOTS, example_fleet, example_robot
 from tests.slow import mostly_slow
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.backends.urdf import Urdf
@@ -26,7 +25,7 @@ Written = Callable[[Robot], Path]
 WrittenFleet = Callable[[Fleet], Path]
 
 
-@pytest.mark.parametrize("name", sorted(ROBOTS))
+@pytest.mark.parametrize("name", SAMPLED_PLANS)
 def test_formats_agree(name: str, written: Written) -> None:
     assert differences(written(ROBOTS[name]), ROBOTS[name]) == []
 
@@ -46,7 +45,7 @@ def test_formats_agree_on_swing_arms_that_turn_far(written: Written) -> None:
     assert differences(written(robot), robot) == []
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_formats_agree_on_examples(name: str, written: Written) -> None:
     robot = example_robot(name)
     assert differences(written(robot), robot) == []
