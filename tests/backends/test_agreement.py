@@ -15,7 +15,7 @@ from tests.backends.conftest import write
 from tests.backends.plans import ROBOTS, SAMPLED_PLANS, Plan, build, graft, grafted
 from tests.backends.seeded_errors import SEEDED_ERRORS, SeededError
 from tests.examples import FLEETS, SAMPLED_ROBOTS, example_fleet, example_robot
-from tests.slow import mostly_slow
+from tests.slow import mostly_exhaustive
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.model import Fleet, Robot
@@ -59,7 +59,7 @@ def test_formats_agree_in_fleets(name: str, written_fleet: WrittenFleet) -> None
         assert differences(folder / placement.name, placement.robot) == []
 
 
-@pytest.mark.parametrize("seed", mostly_slow(range(18), 6))
+@pytest.mark.parametrize("seed", mostly_exhaustive(range(18), 3))
 def test_formats_agree_on_random_trees(seed: int, written: Written) -> None:
     robot = grafted(seed)
     assert differences(written(robot), robot) == []
