@@ -13,7 +13,7 @@ from tests.examples import SAMPLED_ROBOTS
 from tests.ros.environments import ROOT, each_distro, python_of, variables
 from thorvaldc.backends.ros2 import package_of
 
-pytestmark = each_distro()
+pytestmark = each_distro(both=True)
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service"}
 # Runs in the Python of ROS 2: creates each node with the file, and prints what it received.
 PROGRAM = """
