@@ -6,8 +6,6 @@ the start of these workers.  Processor times contain all.
 
 from __future__ import annotations
 
-import math
-import resource
 import tempfile
 import time
 from collections.abc import Iterator
@@ -16,7 +14,7 @@ from pathlib import Path
 
 from distributed import LocalCluster
 
-from bench.figure import Figure
+from bench.figure import Figure, processor_time
 from bench.study import SECONDS, example_study
 from thorvaldc.tools.study.dask_cluster import DaskCluster
 from thorvaldc.tools.study.design_evaluation import StudyInputs
@@ -50,20 +48,20 @@ def figures() -> Iterator[Figure]:
 
 
 def _local(inputs: StudyInputs, folder: Path, workers: int) -> tuple[float, float]:
-    start = _processor_time()
+    start = processor_time()
     wall = _wall_time(inputs, folder, workers, None)
-    return wall, _processor_time() - start
+    return wall, processor_time() - start
 
 
 def _dask(inputs: StudyInputs, folder: Path, workers: int) -> tuple[float, float]:
-    start = _processor_time()
+    start = processor_time()
     options = {"threads_per_worker": 1, "dashboard_address": None}
     with (
         LocalCluster(n_workers=workers, **options) as cluster,  # type: ignore[no-untyped-call]
         DaskCluster(cluster.scheduler_address, inputs.files, print) as dask,
     ):
         wall = _wall_time(inputs, folder, workers, dask)
-    return wall, _processor_time() - start
+    return wall, processor_time() - start
 
 
 def _wall_time(
@@ -76,9 +74,3 @@ def _wall_time(
         if len(journal.results) != DESIGNS:
             raise SystemExit("designs are missing")
     return time.perf_counter() - start
-
-
-def _processor_time() -> float:
-    """Returns the processor time of this process and of its ended children (s)."""
-    usages = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return math.fsum(usage.ru_utime + usage.ru_stime for usage in usages)
