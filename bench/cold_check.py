@@ -26,9 +26,7 @@ def figures() -> Iterator[Figure]:
     )
     with tempfile.TemporaryDirectory() as folder:
         files = _variants(Path(folder))
-        alone, together = in_turns(
-            process([*check, files[0]]), process([*check, *files]), rounds=5
-        )
+        alone, together = in_turns(process([*check, files[0]]), process([*check, *files]), rounds=5)
     yield Figure.ratio(
         f"check of {FILES} robot files",
         20,

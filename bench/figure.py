@@ -1,4 +1,4 @@
-"""A measured figure, and functions that measure times."""
+"""A measured figure, and functions that measure processor times."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Figure:
     """A measured value with its bound; ``how`` describes the measurement.
 
     A figure without a bound is information: it is printed but not judged.  ``spread`` contains the
-    median of many more measurements in 19 of 20 cases.  A figure that is ``timed`` is a time of
-    this machine, or a speed: other programs can make it worse, but never better.
+    median of many more measurements in 19 of 20 cases.  A figure that is ``timed`` has nothing
+    beside it that other programs disturb as much: a miss on a busy machine is none.
     """
 
     name: str
