@@ -87,6 +87,6 @@ def _simulation() -> Iterator[Figure]:
         "x real time",
         10,
         "higher",
-        "its default manoeuvre through the base driver at 50 Hz in MuJoCo, processor time, median of 5",
+        "its default manoeuvre through the driver at 50 Hz in MuJoCo, processor time, median of 5",
         timed=True,
     )
