@@ -1,7 +1,8 @@
 """A study on one worker and on two: processes of this computer, and workers of Dask.
 
 Wall times contain the start of local processes and of the evaluator on each worker of Dask, but not
-the start of these workers.  Processor times contain all.
+the start of these workers.  Processor times contain all; those of Dask also the messages of workers
+that wait, so that other programs change them, and they have no bound.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ def figures() -> Iterator[Figure]:
         study = example_study(folder, DESIGNS)
         text = study.robot.read_text(encoding="utf-8")
         inputs = StudyInputs(study, text, (), trust=False, files=(study.robot,))
-        for kind, measure in (("local", _local), ("Dask", _dask)):
+        for kind, measure, bound in (("local", _local, 1.5), ("Dask", _dask, None)):
             (wall, processor), (wall_2, processor_2) = (
                 measure(inputs, folder / f"{kind}{workers}", workers) for workers in (1, 2)
             )
@@ -37,7 +38,7 @@ def figures() -> Iterator[Figure]:
                 f"a study on two workers, {kind}",
                 processor_2 / processor,
                 "",
-                1.5,
+                bound,
                 "lower",
                 f"processor time relative to one worker, {processor_2:.1f} s and {processor:.1f} s"
                 f" for {DESIGNS} designs of {SECONDS:g} s, with the start of the workers;"
