@@ -82,7 +82,7 @@ def test_canopen_reads_the_values_of_the_dcfs_from_running_nodes(
         network.connect(interface="thorvaldc_sim", channel=channel)
         for node in (listed[0], listed[-1]):
             remote = network.add_node(node.id, dictionary(files, node, tmp_path))
-            remote.sdo.RESPONSE_TIMEOUT = 2.0
+            remote.sdo.RESPONSE_TIMEOUT = 60.0
             for entry in node.objects:
                 if entry.value is None:
                     continue

@@ -113,7 +113,7 @@ def test_the_program_says_where_thorvaldc_is_missing(tmp_path: Path) -> None:
         env={"PATH": os.environ["PATH"]},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         check=False,
     )
     assert result.returncode == 1

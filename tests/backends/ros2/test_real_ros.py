@@ -109,7 +109,7 @@ def test_the_launched_base_driver_drives_the_robot(distro: str, tmp_path: Path) 
             env=variables(tmp_path),
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=300,
             check=False,
         )
     finally:

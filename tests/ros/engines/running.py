@@ -79,7 +79,7 @@ def node(
 def end(started: ChildProcess) -> dict[str, Any]:
     """Ends an engine, and returns its report."""
     started.send_signal(signal.SIGTERM)
-    out, err = started.communicate(timeout=30)
+    out, err = started.communicate(timeout=300)
     assert started.returncode == 0, err
     report: dict[str, Any] = json.loads(out)
     return report

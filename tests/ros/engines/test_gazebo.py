@@ -163,7 +163,7 @@ def test_the_engine_refuses_files_that_do_not_fit(
     change(package)
     file = scene("mujoco", tmp_path, package)
     with running.engine(distro, tmp_path, "mujoco", file, [package]) as engine:
-        _, err = engine.communicate(timeout=60)
+        _, err = engine.communicate(timeout=300)
     assert engine.returncode == 1
     assert message in err
 
