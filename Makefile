@@ -19,12 +19,13 @@ PIP_INSTALL = PIP_CONSTRAINT=locks/dev.txt PIP_BUILD_CONSTRAINT=locks/dev.txt \
 unexport PYTHONDONTWRITEBYTECODE
 
 .DELETE_ON_ERROR:
-.PHONY: help setup lock demo test test-slow test-all test-core test-matrix compiled lint types chaos fuzz mutants bench bench-long golden pictures dist docs docs-serve playground clean distclean
+.PHONY: help setup lock demo test test-slow test-all test-bare test-core test-matrix compiled lint types chaos fuzz mutants bench bench-long golden pictures dist docs docs-serve playground clean distclean
 
 help:
 	@echo "make demo      compile every example and drive it in simulation"
 	@echo "make test      lint, types, layer rules and tests"
 	@echo "make test-slow   the tests that only CI needs; make test-all: both"
+	@echo "make test-bare   tests that use outside programs and libraries, without any of them"
 	@echo "make test-core   the core in a copy without tools: lint, types and tests"
 	@echo "make test-matrix  golden files with the oldest and newest Python and dependencies"
 	@echo "make compiled  build the compiled wheel and test its runtime (needs a C compiler)"
@@ -115,6 +116,11 @@ test-slow: $(READY)
 	$(PYTEST) -n $(JOBS) -m slow $(TESTS)
 
 test-all: test test-slow
+
+# Without outside programs and libraries (tests/outside_tools.py), those tests that used one with
+# OUTSIDE=record, or TESTS.  Each passes or is skipped.
+test-bare: $(READY)
+	OUTSIDE=none $(PYTEST) -n $(JOBS) $(or $(TESTS),@build/outside-tests.txt)
 
 # The core without its tools: a copy in which they are deleted, with the pages and figures about them.
 CORE = build/core
