@@ -19,13 +19,14 @@ PIP_INSTALL = PIP_CONSTRAINT=locks/dev.txt PIP_BUILD_CONSTRAINT=locks/dev.txt \
 unexport PYTHONDONTWRITEBYTECODE
 
 .DELETE_ON_ERROR:
-.PHONY: help setup lock demo test test-slow test-all test-core test-matrix compiled lint types chaos fuzz mutants bench bench-long golden pictures dist docs docs-serve playground clean distclean
+.PHONY: help setup lock demo test test-slow test-all test-bare test-core test-matrix compiled lint types chaos fuzz mutants bench bench-long golden pictures dist docs docs-serve playground clean distclean
 
 help:
 	@echo "make demo      compile every example and drive it in simulation"
 	@echo "make test      lint, types, layer rules and tests"
 	@echo "make test-slow   more tests, which CI runs too; ROBOTS=car,lss chooses the robots"
 	@echo "make test-all    every test, with every robot: the whole cross product"
+	@echo "make test-bare   tests that use outside programs and libraries, without any of them"
 	@echo "make test-core   the core in a copy without tools: lint, types and tests"
 	@echo "make test-matrix  golden files with the oldest and newest Python and dependencies"
 	@echo "make compiled  build the compiled wheel and test its runtime (needs a C compiler)"
@@ -118,6 +119,11 @@ test-slow: $(READY)
 	$(PYTEST) -n $(JOBS) -m "slow and not exhaustive" $(TESTS)
 
 test-all: export ROBOTS = all
+
+# Without outside programs and libraries (tests/outside_tools.py), those tests that used one with
+# OUTSIDE=record, or TESTS.  Each passes or is skipped.
+test-bare: $(READY)
+	OUTSIDE=none $(PYTEST) -n $(JOBS) -m "not exhaustive" $(or $(TESTS),@build/outside-tests.txt)
 
 # The core without its tools: a copy in which they are deleted, with the pages and figures about them.
 CORE = build/core

@@ -17,6 +17,7 @@ from tests.child_process import ChildProcess
 from tests.cli.conftest import Command
 from tests.cli.test_terminal import on_terminal
 from tests.full_disk import full_disk
+from tests.outside_tools import require
 from thorvaldc.cli.progress import Progress
 from thorvaldc.simulation.control_loop import ControlLoop
 
@@ -189,7 +190,8 @@ def _written() -> int:
     return sum(p.stat().st_size for name in names for p in Path().rglob(name) if p.is_file())
 
 
-def test_progress_is_shown_on_a_terminal_only(tmp_path: Path, thorvaldc: Command) -> None:
+def test_the_progress_of_a_video_is_shown(tmp_path: Path, thorvaldc: Command) -> None:
+    require("OpenGL")
     scenario()
     status, output = on_terminal(tmp_path, "sim", "s.yaml", "--video", "v.gif", COLUMNS="40")
     assert status == 0
@@ -198,6 +200,9 @@ def test_progress_is_shown_on_a_terminal_only(tmp_path: Path, thorvaldc: Command
     bars = [part for part in output.replace("\x1b[K", "\r").split("\r") if "%" in part]
     assert len(bars) > 20
     assert max(map(len, bars)) < 40
+
+
+def test_progress_is_shown_on_a_terminal_only(tmp_path: Path, thorvaldc: Command) -> None:
     result = thorvaldc("sim", "good.yaml", "--twist", "1,0,0", "--duration", "1", "--record", "r")
     assert "%" not in result.err
     _, output = on_terminal(tmp_path, "sim", "good.yaml", "--ideal", "--duration", "1")

@@ -14,6 +14,7 @@ import pytest
 from packaging.requirements import Requirement
 
 from tests.cli.conftest import Command, needs_tools
+from tests.cli.test_missing_libraries import STUDY
 from thorvaldc.diagnostics.installation import install_command
 
 ROOT = Path(__file__).parents[2]
@@ -103,6 +104,7 @@ def test_a_missing_package_is_one_line_with_the_extra_that_installs_it(
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.setenv("PATH", "")  # no ffmpeg
     Path("o.mcap").write_bytes(b"\x89MCAP0\r\n")
+    Path("study.yaml").write_text(STUDY, encoding="utf-8")
     result = thorvaldc(*arguments)
     assert result.status in (1, 3)
     assert install_command(extra) in result.err

@@ -91,6 +91,7 @@ def run_scenario(compilation: Compilation, scenario: Scenario, options: RunOptio
     """Runs a scenario, prints its result and returns the exit status."""
     if options.junit:
         check_output(options.junit, ("xml",), "--junit")
+    options.pictures.check_installation()
     gc.enable()
     report = Report()
     robots = [(placement.name, placement.robot) for placement in scenario.fleet.placements]
@@ -129,6 +130,7 @@ def run_drive(
     - ``twist``: commanded twist, or ``None`` for the demonstration manoeuvre of the robot.
     - ``duration``: duration in s, or 0 for the default duration.
     """
+    options.pictures.check_installation()
     gc.enable()
     report = Report()
     try:

@@ -227,6 +227,7 @@ def replay_run(
     runs, status = _read_record(source, robots, for_plot=bool(pictures.plot))
     if runs is None:
         return status
+    pictures.check_installation()
     files = None
     try:
         scenes = None
