@@ -78,7 +78,7 @@ def test_rcl_reads_every_value_with_its_type(distro: str, tmp_path: Path) -> Non
         for name, value in values.items():
             assert type(received[name]) is type(value), f"{key} {name}"
             count += 1
-    assert count > 1000
+    assert count > 70 * len(SAMPLED_ROBOTS)
 
 
 def test_the_launched_base_driver_drives_the_robot(distro: str, tmp_path: Path) -> None:
