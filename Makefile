@@ -24,7 +24,8 @@ unexport PYTHONDONTWRITEBYTECODE
 help:
 	@echo "make demo      compile every example and drive it in simulation"
 	@echo "make test      lint, types, layer rules and tests"
-	@echo "make test-slow   the tests that only CI needs; make test-all: both"
+	@echo "make test-slow   more tests, which CI runs too; ROBOTS=car,lss chooses the robots"
+	@echo "make test-all    every test, with every robot: the whole cross product"
 	@echo "make test-core   the core in a copy without tools: lint, types and tests"
 	@echo "make test-matrix  golden files with the oldest and newest Python and dependencies"
 	@echo "make compiled  build the compiled wheel and test its runtime (needs a C compiler)"
@@ -106,15 +107,17 @@ types: $(READY)
 
 # mypy runs beside the tests, and prints its errors at the end.
 PYTEST = $(BIN)/python -m pytest --dist loadgroup
-test: lint
+QUICK = -m "not slow and not exhaustive"
+test: GROUP = $(QUICK)
+test test-all: lint
 	@mkdir -p build; $(BIN)/mypy >build/types.txt 2>&1 & types=$$!; \
-	$(PYTEST) -n $(JOBS) -m "not slow" $(TESTS); tests=$$?; \
+	$(PYTEST) -n $(JOBS) $(GROUP) $(TESTS); tests=$$?; \
 	wait $$types; types=$$?; cat build/types.txt; test $$tests = 0 && test $$types = 0
 
 test-slow: $(READY)
-	$(PYTEST) -n $(JOBS) -m slow $(TESTS)
+	$(PYTEST) -n $(JOBS) -m "slow and not exhaustive" $(TESTS)
 
-test-all: test test-slow
+test-all: export ROBOTS = all
 
 # The core without its tools: a copy in which they are deleted, with the pages and figures about them.
 CORE = build/core
@@ -125,7 +128,7 @@ test-core: $(READY)
 	  $(patsubst %,':!%',$(shell grep -l thorvaldc.tools bench/*.py)) | \
 	  tar --null --files-from - --create | tar --extract --directory $(CORE)
 	cd $(CORE) && export PYTHONPATH="$(abspath $(CORE))" PATH="$(abspath $(BIN)):$$PATH" && \
-	  ruff check . && lint-imports && mypy thorvaldc && python -m pytest --dist loadgroup -n $(JOBS) -m "not slow" $(TESTS)
+	  ruff check . && lint-imports && mypy thorvaldc && python -m pytest --dist loadgroup -n $(JOBS) $(QUICK) $(TESTS)
 
 test-matrix: $(READY)
 	@$(BIN)/python -c 'import uv' 2>/dev/null || $(call PIP_INSTALL,$(BIN)) uv
@@ -141,7 +144,7 @@ compiled: $(READY)
 	THORVALDC_COMPILE=1 $(BIN)/python -m build --no-isolation --wheel --outdir $(COMPILED)/dist .
 	$(BIN)/python -m zipfile --extract $(COMPILED)/dist/*.whl $(COMPILED)
 	cd $(COMPILED) && export PYTHONPATH="$(abspath $(COMPILED))" PATH="$(abspath $(BIN)):$$PATH" && \
-	  python -m pytest --dist loadgroup -n $(JOBS) -m "not slow" tests/compiled_runtime.py $(or $(TESTS),$(TICK_TESTS))
+	  python -m pytest --dist loadgroup -n $(JOBS) $(QUICK) tests/compiled_runtime.py $(or $(TESTS),$(TICK_TESTS))
 
 SEEDS ?= 0:200
 chaos: $(READY)

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+import tests.examples  # noqa: F401  # chooses the robots before the worker processes start
 from tests.child_process import ended_processes
 from tests.outside_tools import is_listed
 from tests.workshop import Workshop
@@ -53,6 +54,12 @@ def _check_program(event: str, arguments: tuple[object, ...]) -> None:
 
 
 sys.addaudithook(_check_program)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    terminalreporter.write_line(
+        f"robots of the tests for every robot: ROBOTS={os.environ['ROBOTS']}"
+    )
 
 
 @pytest.fixture(autouse=True)

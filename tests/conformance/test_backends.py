@@ -25,7 +25,7 @@ from tests.backend_files import files_of
 from tests.backends.plans import ROBOTS as PLANS
 from tests.backends.plans import grafted
 from tests.buses import robot_with_bus
-from tests.examples import FLEETS, example_fleet, example_robot
+from tests.examples import FLEETS, example_fleet, example_robot, sampled
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc import backends
 from thorvaldc.backends import Backend
@@ -85,7 +85,13 @@ def backend(request: pytest.FixtureRequest) -> type[Backend]:
     return type(backends.load(request.param))
 
 
-@pytest.fixture(params=sorted(ROBOTS))
+SAMPLE = sampled(
+    ROBOTS,
+    ["example", "link_named_world", "name_space", "odd_text", "only_a_base", "suspended_casters"],
+)
+
+
+@pytest.fixture(params=SAMPLE)
 def robot(request: pytest.FixtureRequest) -> Robot:
     return ROBOTS[request.param]
 

@@ -12,7 +12,7 @@ import cantools
 import pytest
 
 from tests.backend_files import dbc_of, files_of
-from tests.examples import ROBOTS, example_robot
+from tests.examples import SAMPLED_ROBOTS, example_robot
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import cia402_robot, uneven_robot
 from thorvaldc.backends.can import Can
@@ -24,7 +24,7 @@ from thorvaldc.simulation.bus import python_can_plugin as interface
 from thorvaldc.simulation.bus.bus_server import serving
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
-NAMES = [*ROBOTS, "cia402"]
+NAMES = [*SAMPLED_ROBOTS, "cia402"]
 
 
 @pytest.fixture(scope="module", params=NAMES)

@@ -22,8 +22,7 @@ from tests.backend_files import files_of
 from tests.backends.conftest import write
 from tests.backends.plans import grafted
 from tests.conformance.reader_table import COLUMNS, MJCF, PAGE, READERS, URDF, Reader, with_table
-from tests.examples import ROBOTS as EXAMPLES
-from tests.examples import example_robot
+from tests.examples import SAMPLED_ROBOTS, example_robot
 from tests.outside_tools import without
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.backends.urdf import Urdf
@@ -32,14 +31,14 @@ from thorvaldc.model import Robot
 # In one process: Warp compiles its kernels once, for more than a minute.
 pytestmark = pytest.mark.xdist_group("readers")
 PROGRAMS = Path(__file__).with_name("readers")
-SEEDS = 20
+SEEDS = 4
 STATES = 3
 DRIVEN = "4wd4ws_wide"
 
 
 @cache
 def robots() -> dict[str, Robot]:
-    return {name: example_robot(name) for name in EXAMPLES} | {
+    return {name: example_robot(name) for name in SAMPLED_ROBOTS} | {
         f"random {seed}": grafted(seed) for seed in range(SEEDS)
     }
 

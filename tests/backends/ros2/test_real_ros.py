@@ -9,7 +9,7 @@ from typing import Any
 
 from tests.backends.ros2.packages import launch, parameter_files, variant, write
 from tests.child_process import ChildProcess
-from tests.examples import ROBOTS
+from tests.examples import SAMPLED_ROBOTS
 from tests.ros.environments import ROOT, each_distro, python_of, variables
 from thorvaldc.backends.ros2 import package_of
 
@@ -53,7 +53,7 @@ print("FOUND" + json.dumps(found))
 def test_rcl_reads_every_value_with_its_type(distro: str, tmp_path: Path) -> None:
     expected: dict[str, dict[str, Any]] = {}
     jobs: dict[str, list[str]] = {}
-    for name in ROBOTS:
+    for name in SAMPLED_ROBOTS:
         robot = variant(name, distro=distro, odom_tf="ekf", namespace="r1")
         folder = write(tmp_path / name, package_of(robot))
         for file, nodes in parameter_files(robot).items():

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from tests.backends.ros2.packages import write
-from tests.examples import ROBOTS, example_fleet, example_robot
+from tests.examples import SAMPLED_ROBOTS, example_fleet, example_robot
 from tests.ros.engines import running
 from tests.ros.environments import DISTROS, each_distro
 from tests.ros.test_node import run_client
@@ -87,7 +87,7 @@ def test_a_steered_robot_drives_and_knows_where_it_is(
 
 @FIRST
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in ROBOTS if name != STEERED])
+@pytest.mark.parametrize("name", [name for name in SAMPLED_ROBOTS if name != STEERED])
 def test_every_example_drives(distro: str, name: str, tmp_path: Path) -> None:
     physics = "mujoco" if name in COUPLED else "dart"
     result = mission(distro, tmp_path, physics, build(name, tmp_path), 12.0)
