@@ -140,7 +140,8 @@ COMPILED = build/compiled
 COMPILED_TESTS = --deselect tests/test_api.py::test_every_public_name_has_a_docstring tests/test_api.py \
 	tests/docs/test_snippets.py::test_the_snippets_of_a_page_run tests/docs/test_contributing.py \
 	tests/tools/gym tests/odrive tests/jk_bms tests/conformance/test_calculators.py \
-	tests/runtime/test_driver.py tests/runtime/calculators tests/runtime/can_base \
+	tests/runtime/test_driver.py tests/runtime/calculators \
+	$(patsubst %,tests/runtime/can_base/test_%.py,arming can_base cia402_driver plugins roboteq_driver) \
 	tests/simulation/test_control_loop.py tests/simulation/test_scenario_run.py \
 	tests/simulation/physics/test_sim_base.py tests/simulation/physics/test_mujoco_base.py
 compiled: $(READY)
