@@ -29,7 +29,7 @@ help:
 	@echo "make test-bare   tests that use outside programs and libraries, without any of them"
 	@echo "make test-core   the core in a copy without tools: lint, types and tests"
 	@echo "make test-matrix  golden files with the oldest and newest Python and dependencies"
-	@echo "make compiled  build the compiled wheel and test its runtime (needs a C compiler)"
+	@echo "make compiled  build the compiled wheel and use it (needs a C compiler)"
 	@echo "make lock      write the newest versions that pyproject.toml allows to locks/"
 	@echo "make chaos     random missions with faults: make chaos SEEDS=0:1000 JOBS=2 (docs/chaos.md)"
 	@echo "make fuzz      broken and hostile files of every kind: make fuzz SEEDS=0:10000 JOBS=2"
@@ -140,17 +140,23 @@ test-matrix: $(READY)
 	@$(BIN)/python -c 'import uv' 2>/dev/null || $(call PIP_INSTALL,$(BIN)) uv
 	JOBS=$(JOBS) $(BIN)/python workshop/test_matrix.py
 
-# The compiled wheel, and the tests of the runtime in a copy with the binaries of this wheel.
+# The compiled wheel, and in a copy with its binaries the tests of what compilation may change: the
+# public API, classes of plug-ins and of Gymnasium, a control cycle.  mypyc keeps no docstrings.
 COMPILED = build/compiled
-TICK_TESTS = tests/runtime tests/can tests/conformance tests/odrive tests/jk_bms \
-	$(wildcard tests/simulation/test_*.py)
+COMPILED_TESTS = --deselect tests/test_api.py::test_every_public_name_has_a_docstring tests/test_api.py \
+	tests/docs/test_snippets.py::test_the_snippets_of_a_page_run tests/docs/test_contributing.py \
+	tests/tools/gym tests/odrive tests/jk_bms tests/conformance/test_calculators.py \
+	tests/runtime/test_driver.py tests/runtime/calculators \
+	$(patsubst %,tests/runtime/can_base/test_%.py,arming can_base cia402_driver plugins roboteq_driver) \
+	tests/simulation/test_control_loop.py tests/simulation/test_scenario_run.py \
+	tests/simulation/physics/test_sim_base.py tests/simulation/physics/test_mujoco_base.py
 compiled: $(READY)
 	rm -rf $(COMPILED) && mkdir -p $(COMPILED)
 	git ls-files -z | tar --null --files-from - --create | tar --extract --directory $(COMPILED)
 	THORVALDC_COMPILE=1 $(BIN)/python -m build --no-isolation --wheel --outdir $(COMPILED)/dist .
 	$(BIN)/python -m zipfile --extract $(COMPILED)/dist/*.whl $(COMPILED)
 	cd $(COMPILED) && export PYTHONPATH="$(abspath $(COMPILED))" PATH="$(abspath $(BIN)):$$PATH" && \
-	  python -m pytest --dist loadgroup -n $(JOBS) $(QUICK) tests/compiled_runtime.py $(or $(TESTS),$(TICK_TESTS))
+	  python -m pytest --dist loadgroup -n $(JOBS) $(QUICK) tests/compiled_runtime.py $(or $(TESTS),$(COMPILED_TESTS))
 
 SEEDS ?= 0:200
 chaos: $(READY)

@@ -13,6 +13,8 @@ from typing import TypeGuard
 
 import pytest
 
+from workshop.compiled_runtime import MODULES
+
 # One worker runs these tests: then the package is parsed once.
 pytestmark = pytest.mark.xdist_group("house rules")
 ROOT = Path(__file__).resolve().parents[1]
@@ -299,3 +301,30 @@ def test_no_modules_import_each_other(trees: dict[Path, ast.Module]) -> None:
                     if imported in modules:
                         sorter.add(name, imported)
     sorter.prepare()  # raises CycleError, which names the circle
+
+
+def test_interpreted_classes_inherit_from_compiled_ones_that_allow_it(
+    trees: dict[Path, ast.Module],
+) -> None:
+    """The others cannot be created in a compiled wheel (``runtime/mypyc_marks.py``)."""
+    modules = {PACKAGE / f"{module}.py" for module in MODULES}
+    classes = {
+        path: [node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+        for path, tree in trees.items()
+    }
+    closed = {
+        node.name
+        for path in modules
+        for node in classes[path]
+        if "mypyc_attr(allow_interpreted_subclasses=True)"
+        not in map(ast.unparse, node.decorator_list)
+    }
+    subclasses = [
+        f"{path.relative_to(ROOT)}:{node.lineno} {node.name}({name})"
+        for path in FILES
+        if path not in modules
+        for node in classes[path]
+        for base in node.bases
+        if (name := ast.unparse(base).partition("[")[0].rpartition(".")[2]) in closed
+    ]
+    assert subclasses == []

@@ -15,7 +15,8 @@ from tests.workshop import Workshop
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.diagnostics import Report
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.simulation.control_loop import ControlLoop, RobotResult, Segment
+from thorvaldc.simulation.control_loop import ControlLoop, Segment
+from thorvaldc.simulation.simulation_result import RobotResult
 from thorvaldc.simulation.simulation_run import Simulation
 
 pytest.importorskip("mujoco")

@@ -24,8 +24,9 @@ from thorvaldc.model.scenario import GROUPS, Scenario, SensorSettings
 from thorvaldc.model.sensor_numbers import not_simulated
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation import scenario_run
-from thorvaldc.simulation.control_loop import SimulationResult, TickCallback, result_table
+from thorvaldc.simulation.control_loop import TickCallback
 from thorvaldc.simulation.records.recorder import Recorder, record_ticks
+from thorvaldc.simulation.simulation_result import SimulationResult, result_table
 from thorvaldc.simulation.simulation_run import Simulation
 
 TWIST_DURATION = 5.0
