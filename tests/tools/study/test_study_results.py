@@ -112,7 +112,6 @@ def test_an_objective_without_variance(run: Command) -> None:
         STUDY,
         ("size.width", "size.track"),
         ("  track: {paths: [modules.frame.params.width], min: 0.8 m, max: 1.2 m}\n", ""),
-        ("number: 16", "number: 8"),
     )
     result = run("study", "run", "study.yaml", "-j", "1", "-o", "out")
     assert result.status == 0, result.err
