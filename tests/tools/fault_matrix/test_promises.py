@@ -10,11 +10,11 @@ import sys
 import pytest
 
 from tests.simulation.bus.robots import ROBOTS
+from tests.slow import mostly_slow
 from tests.tools.fault_matrix.fault_table_page import BEGIN, END, PAGE
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("drives", ROBOTS)
+@pytest.mark.parametrize("drives", mostly_slow(reversed(ROBOTS), quick=0, slow=1))
 def test_every_promise_is_kept_and_is_on_the_page(drives: str) -> None:
     """The matrix runs in a process of its own, which copies itself for each fault."""
     command = [sys.executable, "-m", "tests.tools.fault_matrix.fault_table_page", drives]
