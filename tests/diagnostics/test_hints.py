@@ -7,9 +7,10 @@ diagnostic without fixes gives advice only.
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
-from tests.diagnostics.test_cases import bytes_of, cases, diagnostics_of
+from tests.diagnostics.test_cases import bytes_of, cases, diagnostics_of, write
 from thorvaldc.diagnostics import Diagnostic, Fix, Severity
 
 # Commands that need seconds.  Their diagnostics are about runs, and propose no change of a file.
@@ -68,6 +69,12 @@ def with_fix(files: dict[str, Any], fix: Fix) -> dict[str, Any]:
     start = offset(fix.span.line, fix.span.column)
     end = offset(fix.span.end_line, fix.span.end_column)
     return {**files, fix.span.file: text[:start] + fix.text + text[end:]}
+
+
+def apply(fix: Fix) -> None:
+    """Applies a fix to the file in the working folder."""
+    name = fix.span.file
+    write(with_fix({name: Path(name).read_bytes()}, fix), Path())
 
 
 def shown(diagnostic: Diagnostic) -> tuple[str, str]:
