@@ -196,6 +196,7 @@ def test_json_of_others_is_read_in_one_place(package: Nodes) -> None:
     """``json.loads`` raises ``RecursionError`` for nested brackets, and is for texts of our own."""
     assert calls(package, "json.loads") | calls(package, "json.load") == present(
         "compiler/output/writer.py",
+        "compiler/sandbox/worker_protocol.py",
         "diagnostics/files.py",
         "schema/__init__.py",
         "comparison/robot_difference.py",
