@@ -155,3 +155,24 @@ def test_a_worker_without_a_process_reports_what_ends_it(
         pytest.raises(worker_process.WorkerLimitError, match=text),
     ):
         worker.ask({})
+
+
+@pytest.mark.parametrize(
+    ("printed", "text"),
+    [
+        ("'[' * 100_000", "ended its reader process"),  # nested more deeply than Python reads
+        ("'[{}, 2000000]'", "more than 1 MB"),
+    ],
+)
+def test_the_answer_of_a_hostile_process_is_an_error(
+    printed: str, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = [sys.executable, "-c", f"print({printed}); input()"]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    monkeypatch.setattr(worker_process, "_start", lambda: ChildProcess(command, **pipes))
+    limits = worker_process.WorkerLimits(100.0, 1, 1 << 20, answer_bytes=1 << 20)
+    with (
+        worker_process.limited_worker("none", limits) as worker,
+        pytest.raises(worker_process.WorkerLimitError, match=text),
+    ):
+        worker.ask({})
