@@ -308,14 +308,12 @@ def test_no_modules_import_each_other(package: Nodes) -> None:
     sorter.prepare()  # raises CycleError, which names the circle
 
 
-def test_interpreted_classes_inherit_from_compiled_ones_that_allow_it(
-    trees: dict[Path, ast.Module],
-) -> None:
+def test_interpreted_classes_inherit_from_compiled_ones_that_allow_it(package: Nodes) -> None:
     """The others cannot be created in a compiled wheel (``runtime/mypyc_marks.py``)."""
     modules = {PACKAGE / f"{module}.py" for module in MODULES}
     classes = {
-        path: [node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
-        for path, tree in trees.items()
+        path: [node for node in nodes if isinstance(node, ast.ClassDef)]
+        for path, nodes in package.items()
     }
     closed = {
         node.name

@@ -27,9 +27,10 @@ samples: {method: random, number: 2, seed: 1}
 @pytest.fixture
 def bare(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch) -> Command:
     """The command without optional packages, OpenGL and programs."""
+    parts = [name for name in sys.modules if name.partition(".")[0] in PACKAGES]
     for package in PACKAGES:
         monkeypatch.setitem(sys.modules, package, None)
-    for module in (*MODULES, "mujoco"):
+    for module in (*MODULES, "mujoco", *(name for name in parts if "." in name)):
         monkeypatch.delitem(sys.modules, module, raising=False)
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setenv("PATH", "")
