@@ -10,13 +10,16 @@ from itertools import combinations
 import pytest
 
 from tests.model.stops import stop_bound
+from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import compiled
 from thorvaldc.model import ParameterSet, Robot
+from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.model.stopping import (
     DRIVER_DEAD,
     KINDS,
     STOP_LOCK,
+    motor_nodes,
     reachable_speed,
     shortest_watchdog,
     stop_bounds,
@@ -24,6 +27,7 @@ from thorvaldc.model.stopping import (
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
 SLOW_TURNS = "max_linear_velocity: 0.8 m/s, max_angular_velocity: 0.1 rad/s"
 _CIA402 = ", params: {controller: controller/cia402_propulsion_steering}"
@@ -222,6 +226,26 @@ def test_a_stop_with_two_gaps_keeps_its_bound(
         assert commands == sorted(commands, reverse=True), pair
         assert rig.now - start <= bound.time + 2.0 * gap, pair
         assert way(before, positions(rig)) <= bound.distance + 1.4 * 2.0 * gap, pair
+
+
+@pytest.mark.parametrize("make", [robot, cia402], ids=["Thorvald script", "CiA 402"])
+def test_a_stop_with_frozen_reports_keeps_its_bound(make: Callable[[str], Robot]) -> None:
+    """All drives report the speed at which the stop began, and obey."""
+    model = make("")
+    bound = stop_bound(model, STOP_LOCK)
+    rig = Rig(model)
+    rig.drive(Twist(1.4, 0.0, 0.0), 3.0)
+    injector = FaultInjector(rig.simulated, BusFaults(()))
+    for bus, node in motor_nodes(model):
+        injector.inject(BusFault("frozen_reports", bus.name, node.name, 0.0, None, SPAN))
+    rig.run(0.1)
+    rig.driven.disarm()
+    start, before = rig.now, positions(rig)
+    commands: list[float] = []
+    rig.driven.run(rig.now + 3.0, watch=fastest(commands), stop=lambda: rig.speed() == 0.0)
+    assert commands == sorted(commands, reverse=True)
+    assert rig.now - start <= bound.time
+    assert way(before, positions(rig)) <= bound.distance
 
 
 def fastest(commands: list[float]) -> Callable[[object, DriverState], None]:
