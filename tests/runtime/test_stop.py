@@ -46,7 +46,7 @@ class Plant(BaseHandle):
     """Wheels that can report what is not true, and whose drives can brake by themselves.
 
     - ``lie``: what the base reports for the true joint states;
-    - ``watches``: the drives brake after ``WATCHDOG``;
+    - ``watches``: the drives brake hard after ``WATCHDOG``;
     - ``ages``: the reports of the drives are too old in the first cycle after a gap;
     - ``held``: the base does not follow commands.
     """
@@ -70,8 +70,7 @@ class Plant(BaseHandle):
     def read(self, now: float) -> JointStates:
         if self.watches and now - self._written > WATCHDOG:
             self.inner.read(self._written + WATCHDOG)
-            n = len(self.speeds[-1])
-            self.inner.write(JointCommands([0.0] * n, self.angles[-1]), now)
+            self.inner._speeds = [0.4 * speed for speed in self.inner._speeds]
         states = self.inner.read(now)
         if self.ages and now - self._written > 2.5 * DT + 1e-9:
             return replace(states, speeds=[math.nan] * len(states.speeds))

@@ -353,7 +353,7 @@ class General(BaseCalculator):
             for joint in self._steering:
                 joint.jump()
         else:
-            times = [joint.time_to_target() for joint in self._steering]
+            times = [abs(j.target - j.angle) * j.seconds_per_rad for j in self._steering]
             slowest = max(times)
             # A steering joint that arrives within two ticks does not wait for the other steering
             # joints.

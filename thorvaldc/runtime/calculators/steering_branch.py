@@ -267,10 +267,6 @@ class SteeringJoint:
         best = (best_direction != self.direction, abs(best_angle), -best_angle)
         return candidate < best
 
-    def time_to_target(self) -> float:
-        """Returns the time (s) to reach the target angle at full steering rate."""
-        return abs(self.target - self.angle) * self.seconds_per_rad
-
     def advance(self, dt: float, share: float) -> None:
         """Moves the commanded steering angle towards the target for ``dt`` s, without overshoot.
 
