@@ -312,17 +312,12 @@ class BaseDriver:
         if commanded_twist != ZERO_TWIST:
             feasible = self.calculator.feasible(commanded_twist)
             if feasible is not commanded_twist:
-                infeasible = Twist(
-                    commanded_twist.vx - feasible.vx,
-                    commanded_twist.vy - feasible.vy,
-                    commanded_twist.wz - feasible.wz,
-                )
+                infeasible = commanded_twist.minus(feasible)
             goal = self._limited(feasible)
         if goal == ZERO_TWIST:
             command = self.calculator.stop(period, measured)
         else:
-            ramped = self._ramp.follow(goal, period, last)
-            command = self.calculator.command(ramped, joints, period)
+            command = self.calculator.command(self._ramp.follow(goal, period, last), joints, period)
         if goal == ZERO_TWIST or command.must_stop:
             self._ramp.restart(command.twist)
         self.base.write(command.joints, now)

@@ -148,7 +148,7 @@ class OneWheel(General):
         v = limited_speeds[i] * wheel.radius
         current = self._motion(angle, v + wheel.lateral * turning, -wheel.trail * turning)
         self._motors.twist = current
-        infeasible = Twist(twist.vx - vx, twist.vy - vy, twist.wz - wz)
+        infeasible = twist.minus(feasible)
         target = feasible.scaled(scale) if scale < 1.0 else feasible
         joints = JointCommands(limited_speeds, self._angles)
         return BaseCommand(joints, target, current, infeasible, scale, unreachable, rates)

@@ -182,7 +182,7 @@ class General(BaseCalculator):
         unreachable: tuple[int, ...] = ()
         if not self._unconstrained:
             target, unreachable = self._reachable.project(twist)
-            infeasible = Twist(twist.vx - target.vx, twist.vy - target.vy, twist.wz - target.wz)
+            infeasible = twist.minus(target)
         rates: Sequence[float] = self._zeros
         if not self._steering:  # a shortcut: the steps below change nothing without steering joints
             target_speeds, scale = self._target_speeds(target)
@@ -233,10 +233,11 @@ class General(BaseCalculator):
         )
 
     def stop(self, dt: float, measured: JointStates | None = None) -> BaseCommand:
-        self._motors.brake(dt, self.decelerations, measured)
         for joint in self._steering:
             joint.brake(dt)
         self._store_angles()
+        pushes = self._pushes() if self._pushing else None
+        self._motors.brake(dt, self.decelerations, measured, pushes)
         self._last_target = twist = self._motors.twist
         must_stop = self._turns_around
         self._turns_around = must_stop and twist != ZERO_TWIST

@@ -373,7 +373,11 @@ class DriveMotors:
         return self._speeds
 
     def brake(
-        self, dt: float, decelerations: tuple[float, float], measured: JointStates | None
+        self,
+        dt: float,
+        decelerations: tuple[float, float],
+        measured: JointStates | None,
+        pushes: Sequence[float] | None,
     ) -> None:
         """Moves the last command towards rest for ``dt`` s, the only place where a stop proceeds.
 
@@ -384,7 +388,8 @@ class DriveMotors:
 
         and all commands shrink to the share 1 - dt / T of the last ones.  The command of a wheel
         that turns more slowly in ``measured`` is the measured speed; a wheel that turns faster, or
-        backwards, raises and reverses nothing.
+        backwards, raises and reverses nothing.  ``pushes``: part of the speeds (rad/s) that the
+        steering joints, which still turn, ask for; a later command goes on from it.
         """
         twist, speeds = self.twist, self._speeds
         time = max(twist.speed / decelerations[0], abs(twist.wz) / decelerations[1])
@@ -394,12 +399,14 @@ class DriveMotors:
         braked = [share * v for v in speeds]
         if measured is not None:
             for i in self._encoders:
-                braked[i] = _lower(braked[i], measured.speeds[i])
+                v, m = braked[i], measured.speeds[i]
+                braked[i] = min(v, max(m, 0.0)) if v > 0.0 else max(v, min(m, 0.0))
             share = max((b / v for b, v in zip(braked, speeds, strict=True) if v), default=0.0)
         self.reset()
         if any(braked):
-            self._speeds = self.rolling_speeds = (*braked,)
-            self.twist = twist.scaled(share)
+            self._speeds, self.twist = (*braked,), twist.scaled(share)
+        self._pushes = pushes or self._zeros
+        self.rolling_speeds = [v - p for v, p in zip(self._speeds, self._pushes, strict=True)]
 
     def average_shared(self, speeds: list[float]) -> list[float]:
         """Sets the speeds of wheels that share a drive motor to their mean speed, in place."""
@@ -466,8 +473,3 @@ class DriveMotors:
             speeds = [v + p for v, p in zip(speeds, pushes, strict=True)]
         self._speeds = (*speeds,)
         return twist, self._speeds
-
-
-def _lower(speed: float, measured: float) -> float:
-    """Returns the speed nearest to ``measured`` between 0 and ``speed``."""
-    return min(speed, max(measured, 0.0)) if speed > 0.0 else max(speed, min(measured, 0.0))
