@@ -19,15 +19,17 @@ PIP_INSTALL = PIP_CONSTRAINT=locks/dev.txt PIP_BUILD_CONSTRAINT=locks/dev.txt \
 unexport PYTHONDONTWRITEBYTECODE
 
 .DELETE_ON_ERROR:
-.PHONY: help setup lock demo test test-slow test-all test-core test-matrix compiled lint types chaos fuzz mutants bench bench-long golden pictures dist docs docs-serve playground clean distclean
+.PHONY: help setup lock demo test test-slow test-all test-bare test-core test-matrix compiled lint types chaos fuzz mutants bench bench-long golden pictures dist docs docs-serve playground clean distclean
 
 help:
 	@echo "make demo      compile every example and drive it in simulation"
 	@echo "make test      lint, types, layer rules and tests"
-	@echo "make test-slow   the tests that only CI needs; make test-all: both"
+	@echo "make test-slow   more tests, which CI runs too; ROBOTS=car,lss chooses the robots"
+	@echo "make test-all    every test, with every robot: the whole cross product"
+	@echo "make test-bare   tests that use outside programs and libraries, without any of them"
 	@echo "make test-core   the core in a copy without tools: lint, types and tests"
 	@echo "make test-matrix  golden files with the oldest and newest Python and dependencies"
-	@echo "make compiled  build the compiled wheel and test its runtime (needs a C compiler)"
+	@echo "make compiled  build the compiled wheel and use it (needs a C compiler)"
 	@echo "make lock      write the newest versions that pyproject.toml allows to locks/"
 	@echo "make chaos     random missions with faults: make chaos SEEDS=0:1000 JOBS=2 (docs/chaos.md)"
 	@echo "make fuzz      broken and hostile files of every kind: make fuzz SEEDS=0:10000 JOBS=2"
@@ -106,15 +108,22 @@ types: $(READY)
 
 # mypy runs beside the tests, and prints its errors at the end.
 PYTEST = $(BIN)/python -m pytest --dist loadgroup
-test: lint
+QUICK = -m "not slow and not exhaustive"
+test: GROUP = $(QUICK)
+test test-all: lint
 	@mkdir -p build; $(BIN)/mypy >build/types.txt 2>&1 & types=$$!; \
-	$(PYTEST) -n $(JOBS) -m "not slow" $(TESTS); tests=$$?; \
+	$(PYTEST) -n $(JOBS) $(GROUP) $(TESTS); tests=$$?; \
 	wait $$types; types=$$?; cat build/types.txt; test $$tests = 0 && test $$types = 0
 
 test-slow: $(READY)
-	$(PYTEST) -n $(JOBS) -m slow $(TESTS)
+	$(PYTEST) -n $(JOBS) -m "slow and not exhaustive" $(TESTS)
 
-test-all: test test-slow
+test-all: export ROBOTS = all
+
+# Without outside programs and libraries (tests/outside_tools.py), those tests that used one with
+# OUTSIDE=record, or TESTS.  Each passes or is skipped.
+test-bare: $(READY)
+	OUTSIDE=none $(PYTEST) -n $(JOBS) -m "not exhaustive" $(or $(TESTS),@build/outside-tests.txt)
 
 # The core without its tools: a copy in which they are deleted, with the pages and figures about them.
 CORE = build/core
@@ -125,23 +134,29 @@ test-core: $(READY)
 	  $(patsubst %,':!%',$(shell grep -l thorvaldc.tools bench/*.py)) | \
 	  tar --null --files-from - --create | tar --extract --directory $(CORE)
 	cd $(CORE) && export PYTHONPATH="$(abspath $(CORE))" PATH="$(abspath $(BIN)):$$PATH" && \
-	  ruff check . && lint-imports && mypy thorvaldc && python -m pytest --dist loadgroup -n $(JOBS) -m "not slow" $(TESTS)
+	  ruff check . && lint-imports && mypy thorvaldc && python -m pytest --dist loadgroup -n $(JOBS) $(QUICK) $(TESTS)
 
 test-matrix: $(READY)
 	@$(BIN)/python -c 'import uv' 2>/dev/null || $(call PIP_INSTALL,$(BIN)) uv
 	JOBS=$(JOBS) $(BIN)/python workshop/test_matrix.py
 
-# The compiled wheel, and the tests of the runtime in a copy with the binaries of this wheel.
+# The compiled wheel, and in a copy with its binaries the tests of what compilation may change: the
+# public API, classes of plug-ins and of Gymnasium, a control cycle.  mypyc keeps no docstrings.
 COMPILED = build/compiled
-TICK_TESTS = tests/runtime tests/can tests/conformance tests/odrive tests/jk_bms \
-	$(wildcard tests/simulation/test_*.py)
+COMPILED_TESTS = --deselect tests/test_api.py::test_every_public_name_has_a_docstring tests/test_api.py \
+	tests/docs/test_snippets.py::test_the_snippets_of_a_page_run tests/docs/test_contributing.py \
+	tests/tools/gym tests/odrive tests/jk_bms tests/conformance/test_calculators.py \
+	tests/runtime/test_driver.py tests/runtime/calculators \
+	$(patsubst %,tests/runtime/can_base/test_%.py,arming can_base cia402_driver plugins roboteq_driver) \
+	tests/simulation/test_control_loop.py tests/simulation/test_scenario_run.py \
+	tests/simulation/physics/test_sim_base.py tests/simulation/physics/test_mujoco_base.py
 compiled: $(READY)
 	rm -rf $(COMPILED) && mkdir -p $(COMPILED)
 	git ls-files -z | tar --null --files-from - --create | tar --extract --directory $(COMPILED)
 	THORVALDC_COMPILE=1 $(BIN)/python -m build --no-isolation --wheel --outdir $(COMPILED)/dist .
 	$(BIN)/python -m zipfile --extract $(COMPILED)/dist/*.whl $(COMPILED)
 	cd $(COMPILED) && export PYTHONPATH="$(abspath $(COMPILED))" PATH="$(abspath $(BIN)):$$PATH" && \
-	  python -m pytest --dist loadgroup -n $(JOBS) -m "not slow" tests/compiled_runtime.py $(or $(TESTS),$(TICK_TESTS))
+	  python -m pytest --dist loadgroup -n $(JOBS) $(QUICK) tests/compiled_runtime.py $(or $(TESTS),$(COMPILED_TESTS))
 
 SEEDS ?= 0:200
 chaos: $(READY)

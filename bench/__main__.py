@@ -44,8 +44,8 @@ def main(only: list[str]) -> int:
         (ROOT / GROUPS[group]).write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     number = Counter(str(row["verdict"]) for row in rows)
     print(
-        f"{number['holds']} bounds hold, {number['FAILS']} fail, {number['busy']} cannot be judged"
-        f" because the machine was too busy; {number['info']} figures are information;"
+        f"{number['holds']} bounds hold, {number['FAILS']} fail, {number['unclear']} cannot be"
+        f" judged; {number['info']} figures are information;"
         f" {time.perf_counter() - start:.0f} s"
     )
     missed = [str(row["name"]) for row in rows if row["verdict"] == "FAILS"]
@@ -68,8 +68,8 @@ def row(figure: Figure, verdict: str, load: MachineLoad) -> str:
     sign = "<=" if figure.better == "lower" else ">="
     bound = "" if figure.bound is None else f"{sign} {figure.bound:g}"
     value = f"{figure.value:.4g} {figure.unit}".strip()
-    reason = f"cannot be judged: {load}; " if verdict == "busy" else ""
-    return f"{figure.name:<30} {value:>10} {bound:<8} {verdict:<6} {reason}{figure.how}"
+    reason = f"{load}; " if verdict == "unclear" and figure.timed else ""
+    return f"{figure.name:<30} {value:>10} {bound:<8} {verdict:<7} {reason}{figure.how}"
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from bench.figure import EXAMPLE, ROOT, Figure, python
+from bench.figure import EXAMPLE, ROOT, Figure, processor_time, python
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.compiler.scenario.variations import plan_variations
 from thorvaldc.diagnostics import Report
@@ -70,10 +70,10 @@ def _processes(path: Path) -> Iterator[Figure]:
         raise SystemExit(f"{path} is no scenario")
     hashes, rates, work = set(), [], []
     for jobs in dict.fromkeys((1, processors())):
-        started, before = time.perf_counter(), sum(os.times()[:4])
+        started, before = time.perf_counter(), processor_time()
         runs = sorted(Batch(path, variations).runs(jobs), key=lambda run: run.number)
         rates.append(RUNS * SECONDS / (time.perf_counter() - started))
-        work.append(sum(os.times()[:4]) - before)
+        work.append(processor_time() - before)
         hashes.add(tuple(run.result["hash"] if run.result else "" for run in runs))
     yield Figure(
         "results of one batch",

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import cantools
 
-from bench.figure import EXAMPLE, Figure, least_times
+from bench.figure import EXAMPLE, Figure, in_turns
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
@@ -41,9 +41,8 @@ def figures() -> Iterator[Figure]:
             encode(named)
             decode(data, decode_choices=False)
 
-    codec_time, cantools_time = (
-        time / TURNS for time in least_times([use_codec, use_cantools], rounds=15)
-    )
+    times = in_turns(use_codec, use_cantools, rounds=15)
+    codec_time, cantools_time = (min(each) / TURNS for each in times)
     yield Figure(
         "frame codec",
         codec_time * 1e6,
@@ -53,12 +52,4 @@ def figures() -> Iterator[Figure]:
         "encode a command and decode a report, two and three values with scalings,"
         f" least of 15 x {TURNS}; cantools needs {cantools_time * 1e6:.2f} us",
     )
-    yield Figure(
-        "frame codec over cantools",
-        codec_time / cantools_time,
-        "",
-        1.0,
-        "lower",
-        "ratio of the two times above",
-        timed=True,
-    )
+    yield Figure.ratio("frame codec over cantools", 1.0, zip(*times, strict=True), "of these times")

@@ -2,38 +2,38 @@
 
 from __future__ import annotations
 
+import statistics
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from bench.figure import EXAMPLE, Figure, python, side_by_side
+from bench.figure import EXAMPLE, Figure, in_turns, process, python
 
 FILES = 100
 
 
 def figures() -> Iterator[Figure]:
     check = python("-m", "thorvaldc", "check")
-    single, bare = side_by_side([[*check, str(EXAMPLE)], python("-c", "pass")], rounds=21)
-    yield Figure(
+    single, bare = in_turns(
+        process([*check, str(EXAMPLE)]), process(python("-c", "pass")), rounds=21
+    )
+    yield Figure.ratio(
         "cold check over bare Python",
-        single / bare,
-        "",
-        15,
-        "lower",
-        f"check of 4WD4WS {single * 1e3:.0f} ms, `python -c pass` {bare * 1e3:.0f} ms;"
-        " whole processes in turns, medians of 21",
+        22,
+        zip(single, bare, strict=True),
+        f"check of 4WD4WS {statistics.median(single) * 1e3:.0f} ms, `python -c pass`"
+        f" {statistics.median(bare) * 1e3:.0f} ms; processor times of whole processes",
     )
     with tempfile.TemporaryDirectory() as folder:
         files = _variants(Path(folder))
-        together, alone = side_by_side([[*check, *files], [*check, files[0]]], rounds=5)
-    yield Figure(
+        alone, together = in_turns(process([*check, files[0]]), process([*check, *files]), rounds=5)
+    yield Figure.ratio(
         f"check of {FILES} robot files",
-        FILES * alone / together,
-        "",
         20,
-        "higher",
-        f"times faster than {FILES} processes, one after the other: together {together:.2f} s, a"
-        f" process for one file {alone * 1e3:.0f} ms; in turns, medians of 5",
+        [(FILES * one, all_files) for one, all_files in zip(alone, together, strict=True)],
+        f"times faster than {FILES} processes: together {statistics.median(together):.2f} s, a"
+        f" process for one file {statistics.median(alone) * 1e3:.0f} ms of processor time",
+        better="higher",
     )
 
 

@@ -1,15 +1,17 @@
-"""A measured figure, and functions that measure times."""
+"""A measured figure, and functions that measure processor times."""
 
 from __future__ import annotations
 
+import functools
 import gc
 import importlib.util
+import math
 import os
+import resource
 import statistics
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,8 +23,9 @@ EXAMPLE = ROOT / "examples" / "4wd4ws_wide" / "robot.yaml"
 class Figure:
     """A measured value with its bound; ``how`` describes the measurement.
 
-    A figure without a bound is information: it is printed but not judged.  A figure is ``timed`` if
-    it depends on the speed of the machine, and thus on other programs that run.
+    A figure without a bound is information: it is printed but not judged.  ``spread`` contains the
+    median of many more measurements in 19 of 20 cases.  A figure that is ``timed`` has nothing
+    beside it that other programs disturb as much: a miss on a busy machine is none.
     """
 
     name: str
@@ -32,15 +35,40 @@ class Figure:
     better: str  # "lower" or "higher"
     how: str
     timed: bool = False
+    spread: tuple[float, float] | None = None
+
+    @classmethod
+    def ratio(
+        cls,
+        name: str,
+        bound: float | None,
+        pairs: Iterable[tuple[float, float]],
+        how: str,
+        better: str = "lower",
+        unit: str = "",
+    ) -> Figure:
+        """Returns the median of the ratios of pairs, each measured one directly after the other.
+
+        Other programs disturb both times of a pair, and thus hardly their ratio.
+        """
+        ratios = sorted(one / other for one, other in pairs)
+        count = len(ratios)
+        rank = int(max(count / 2 - math.sqrt(count), 0.0))  # two deviations of the binomial
+        spread = (ratios[rank], ratios[-1 - rank])
+        how = f"{spread[0]:.3g} to {spread[1]:.3g} by {count} pairs; {how}"
+        return cls(name, statistics.median(ratios), unit, bound, better, how, spread=spread)
 
     def verdict(self, is_busy: bool) -> str:
-        """Returns ``info``, ``holds`` or ``FAILS``, or ``busy`` where a time cannot be judged."""
+        """Returns ``info``, ``holds``, ``FAILS``, or ``unclear`` where it cannot be judged."""
         if self.bound is None:
             return "info"
-        if self.timed and is_busy:
-            return "busy"
-        holds = self.value <= self.bound if self.better == "lower" else self.value >= self.bound
-        return "holds" if holds else "FAILS"
+        ends = {
+            value <= self.bound if self.better == "lower" else value >= self.bound
+            for value in self.spread or (self.value,)
+        }
+        if ends == {True}:
+            return "holds"
+        return "unclear" if True in ends or (self.timed and is_busy) else "FAILS"
 
 
 def python(*arguments: str) -> list[str]:
@@ -48,61 +76,34 @@ def python(*arguments: str) -> list[str]:
     return [sys.executable, *arguments]
 
 
-def side_by_side(
-    commands: Sequence[Sequence[str]], rounds: int, folder: Path = ROOT
-) -> list[float]:
-    """Returns the median wall time (s) of each command, including the start of its process.
-
-    The commands run in turns: a change of the machine's speed then affects all of them.  The
-    first round fills the caches of disk and bytecode and does not count.
-    """
+def process(command: Sequence[str], folder: Path = ROOT) -> Callable[[], object]:
+    """Returns a function that runs a command in a process of its own."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
-    all_times: list[list[float]] = [[] for _ in commands]
-    for turn in range(rounds + 1):
-        for command, times in zip(commands, all_times, strict=True):
-            start = time.perf_counter()
-            subprocess.run(
-                command,
-                cwd=folder,
-                env=environment,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                check=True,
-            )
-            if turn > 0:
-                times.append(time.perf_counter() - start)
-    return [statistics.median(times) for times in all_times]
+    run = functools.partial(subprocess.run, command, cwd=folder, env=environment, check=True)
+    return functools.partial(run, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 
-def least_times(functions: Sequence[Callable[[], object]], rounds: int) -> list[float]:
-    """Returns the least processor time (s) of each function, called in turns in this process.
+def processor_time() -> float:
+    """Returns the processor time (s) of this process and of its ended children."""
+    usages = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return math.fsum(usage.ru_utime + usage.ru_stime for usage in usages)
 
-    Other work of the machine can only make a call slower, so the least time has the least
-    disturbance.  The first call of each function does not count.
+
+def in_turns(*functions: Callable[[], object], rounds: int) -> list[list[float]]:
+    """Returns the processor times (s) of each function, called in turns.
+
+    A change of the machine's speed then affects all of them.  The first call of each, which fills
+    the caches of disk, bytecode and processor, does not count.
     """
-    for function in functions:
-        function()
     all_times: list[list[float]] = [[] for _ in functions]
-    for _ in range(rounds):
+    for _ in range(rounds + 1):
         for function, times in zip(functions, all_times, strict=True):
             gc.collect()
-            start = time.process_time()
+            start = processor_time()
             function()
-            times.append(time.process_time() - start)
-    return [min(times) for times in all_times]
-
-
-def median_time(function: Callable[[], object], rounds: int) -> float:
-    """Returns the median processor time (s) of a call; the first call does not count."""
-    function()
-    times = []
-    for _ in range(rounds):
-        gc.collect()
-        start = time.process_time()
-        function()
-        times.append(time.process_time() - start)
-    return statistics.median(times)
+            times.append(processor_time() - start)
+    return [times[1:] for times in all_times]
 
 
 def is_compiled() -> bool:

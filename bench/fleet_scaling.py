@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from bench.figure import Figure, least_times
+from bench.figure import Figure, in_turns
 from bench.robots import example
 from thorvaldc.backends import DEFAULT_TARGETS
 from thorvaldc.backends.mjcf import simulation_files
@@ -21,9 +22,9 @@ from thorvaldc.simulation.simulation_run import Simulation
 
 GRIDS = {1: (1, 1), 10: (2, 5), 100: (10, 10)}
 """Rows and columns of the grid by the number of robots."""
-SECONDS = 1.0
-PLAN = (Segment(0.0, Twist(0.8, 0.1, 0.1)), Segment(0.5, Twist(0.8, -0.2, -0.2)))
-ROUNDS = 3
+SECONDS = 0.5
+PLAN = (Segment(0.0, Twist(0.8, 0.1, 0.1)), Segment(0.25, Twist(0.8, -0.2, -0.2)))
+ROUNDS = 9
 
 
 def figures() -> Iterator[Figure]:
@@ -32,31 +33,31 @@ def figures() -> Iterator[Figure]:
         compiles = [_compiling(path) for path in paths.values()]
         yield _growth(
             "compiling a fleet of 100",
-            dict(zip(GRIDS, least_times(compiles, 2), strict=True)),
+            in_turns(*compiles, rounds=3),
             1e3,
             "ms",
             "compile and emit of all four targets",
         )
         loops = [_Loops(path) for path in paths.values()]
     works = [work for loop in loops for work in (loop.whole, loop.bare)]
-    times = least_times(works, ROUNDS)
-    whole = {n: t / loops[0].ticks for n, t in zip(GRIDS, times[::2], strict=True)}
-    bare = {n: t / loops[0].ticks for n, t in zip(GRIDS, times[1::2], strict=True)}
-    steps = loops[0].steps
+    times = in_turns(*works, rounds=ROUNDS)
+    whole, bare = times[::2], times[1::2]
+    ticks, steps = loops[0].ticks, loops[0].steps
     yield _growth(
         "a step of 100 robots",
-        {n: t / steps for n, t in bare.items()},
-        1e6,
+        bare,
+        1e6 / ticks / steps,
         "us",
         "mj_step alone, driving 4WD4WS robots",
     )
     yield _growth(
         "a tick of 100 robots",
         whole,
-        1e6,
+        1e6 / ticks,
         "us",
         f"{steps} steps of physics, and the driver and odometry of each robot, 50 Hz;"
-        f" {100 * bare[100] / whole[100]:.0f} % of it is mj_step",
+        f" {100 * statistics.median(bare[-1]) / statistics.median(whole[-1]):.0f} % of it is"
+        " mj_step",
     )
 
 
@@ -115,15 +116,12 @@ class _Loops:
             mujoco.mj_step(model, data, self.steps)
 
 
-def _growth(name: str, times: dict[int, float], scale: float, unit: str, what: str) -> Figure:
-    each = ", ".join(f"{n}: {t / n * scale:.3g}" for n, t in times.items())
-    return Figure(
+def _growth(name: str, times: list[list[float]], scale: float, unit: str, what: str) -> Figure:
+    medians = zip(GRIDS, map(statistics.median, times), strict=True)
+    each = ", ".join(f"{n}: {t / n * scale:.3g}" for n, t in medians)
+    return Figure.ratio(
         name,
-        times[100] / times[10] / 10,
-        "",
         1.15,
-        "lower",
-        f"relative to ten times that of 10; {what}; {unit} per robot in scenes of {each};"
-        " least of several",
-        timed=True,
+        [(large, 10 * small) for _, small, large in zip(*times, strict=True)],
+        f"relative to ten times that of 10; {what}; {unit} per robot in scenes of {each}",
     )

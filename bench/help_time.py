@@ -5,9 +5,10 @@ The help needs only the command table, so it should take little more time than t
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Iterator
 
-from bench.figure import Figure, python, side_by_side
+from bench.figure import Figure, in_turns, process, python
 
 BARE = """
 import typer
@@ -21,22 +22,17 @@ app()
 
 def figures() -> Iterator[Figure]:
     plain = BARE.replace("Typer()", "Typer(rich_markup_mode=None)")
-    thorvaldc_time, bare, without_rich = side_by_side(
-        [
-            python("-m", "thorvaldc", "--help"),
-            python("-c", BARE, "--help"),
-            python("-c", plain, "--help"),
-        ],
+    times = in_turns(
+        process(python("-m", "thorvaldc", "--help")),
+        process(python("-c", BARE, "--help")),
+        process(python("-c", plain, "--help")),
         rounds=21,
     )
-    yield Figure(
+    thorvaldc_time, bare, without_rich = (1e3 * statistics.median(t) for t in times)
+    yield Figure.ratio(
         "--help over bare typer",
-        thorvaldc_time / bare,
-        "",
         1.15,
-        "lower",
-        f"{thorvaldc_time * 1e3:.0f} ms, a typer program of one command {bare * 1e3:.0f} ms"
-        f" (without the help of rich {without_rich * 1e3:.0f} ms); whole processes in turns,"
-        " medians of 21",
-        timed=True,
+        zip(times[0], times[1], strict=True),
+        f"{thorvaldc_time:.0f} ms, a typer program of one command {bare:.0f} ms (without the help"
+        f" of rich {without_rich:.0f} ms); processor times of whole processes",
     )

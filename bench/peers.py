@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+import statistics
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from bench.figure import Figure, is_compiled, least_times
+from bench.figure import Figure, in_turns, is_compiled
 from bench.robots import wheel, wheel_positions
 
 TICKS = 126
@@ -62,22 +63,19 @@ def _compare(n: int) -> Iterator[Figure]:
         states.append(JointStates(0.0, joints.speeds, joints.angles, rates))
     ticks = list(zip(twists, states[TICKS:], strict=False))
     inputs = [(t, s.speeds, s.angles) for t, s in ticks]
-    times = least_times(
-        [
-            _repeated(ticks, inverse_and_odometry),
-            _repeated(inputs, peer.inverse_and_odometry),
-            _repeated(ticks, driver_tick),
-            _repeated(inputs, peer.driver_tick),
-        ],
-        ROUNDS,
+    times = in_turns(
+        _repeated(ticks, inverse_and_odometry),
+        _repeated(inputs, peer.inverse_and_odometry),
+        _repeated(ticks, driver_tick),
+        _repeated(inputs, peer.driver_tick),
+        rounds=ROUNDS,
     )
-    ns = [time / TICKS / REPEATS * 1e9 for time in times]
+    ns = [f"{statistics.median(each) / TICKS / REPEATS * 1e9:.0f} ns" for each in times]
 
     def figure(name: str, k: int, bound: float | None, how: str) -> Figure:
-        method = how.format(f"{ns[k]:.0f} ns", f"{ns[k + 1]:.0f} ns")
-        return Figure(
-            f"{name}, N={n}", ns[k] / ns[k + 1], "x wpimath", bound, "lower", method, timed=True
-        )
+        pairs = zip(times[k], times[k + 1], strict=True)
+        method = how.format(ns[k], ns[k + 1])
+        return Figure.ratio(f"{name}, N={n}", bound, pairs, method, unit="x wpimath")
 
     yield figure(
         "tick", 0, 1.5,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
-import time
+import statistics
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,7 +12,7 @@ from typing import Any
 
 import mujoco
 
-from bench.figure import Figure
+from bench.figure import Figure, in_turns
 from bench.robots import built, example
 from thorvaldc.model import Robot
 from thorvaldc.runtime.se2 import Twist
@@ -23,6 +24,7 @@ from thorvaldc.simulation.simulation_run import Simulation
 GROUP = "long"
 
 RATES = (0.1, 0.5, 1.0, 2.0)  # rad/s
+STEPS = 2000
 # Four driven wheels at the corners without steering: the robot turns only by skidding.
 SKID = """
 thorvaldc: 1
@@ -84,16 +86,13 @@ def figures() -> Iterator[Figure]:
     )
     for name in ("4wd4ws_wide", "6wd6ws"):
         robot, files = built(example(name))
-        ratio, ours = _step_ratio(robot, files)
-        yield Figure(
+        ours, minimal = _step_times(robot, files)
+        yield Figure.ratio(
             f"step time of {name}",
-            ratio,
-            "",
             1.4,
-            "lower",
+            zip(ours, minimal, strict=True),
             "relative to a minimal model with equal degrees of freedom and contacts;"
-            f" {ours * 1e6:.1f} us",
-            timed=True,
+            f" {statistics.median(ours) * 1e6 / STEPS:.1f} us",
         )
 
 
@@ -152,8 +151,8 @@ def _creep(files: dict[str, bytes], slope: float) -> float:
     return float(math.dist(scene.data.qpos[:3], start)) / 5.0
 
 
-def _step_ratio(robot: Robot, files: dict[str, bytes]) -> tuple[float, float]:
-    """Returns the step time relative to the minimal model, and absolute (s); least of several."""
+def _step_times(robot: Robot, files: dict[str, bytes]) -> list[list[float]]:
+    """Returns the times (s) of ``STEPS`` steps, and of as many of the minimal model, in turns."""
     ours, minimal = MujocoScene(files).model, _minimal(robot)
     models = (ours, minimal)
     data = []
@@ -163,15 +162,14 @@ def _step_ratio(robot: Robot, files: dict[str, bytes]) -> tuple[float, float]:
             mujoco.mj_resetDataKeyframe(model, state, 0)
         mujoco.mj_step(model, state, 500)
         data.append(state)
-    best = [math.inf, math.inf]
-    for _ in range(9):
-        for i, (model, state) in enumerate(zip(models, data, strict=True)):
-            started = time.process_time()
-            mujoco.mj_step(model, state, 2000)
-            best[i] = min(best[i], (time.process_time() - started) / 2000)
+    steps = [
+        functools.partial(mujoco.mj_step, model, state, STEPS)
+        for model, state in zip(models, data, strict=True)
+    ]
+    times = in_turns(*steps, rounds=9)
     if data[0].ncon != data[1].ncon or ours.nv != minimal.nv:
         raise SystemExit("the minimal model has other degrees of freedom or contacts")
-    return best[0] / best[1], best[0]
+    return times
 
 
 def _minimal(robot: Robot) -> Any:

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.consistency import BIASED, KINDS
-from bench.figure import EXAMPLE, Figure, least_times
+from bench.figure import EXAMPLE, Figure, in_turns
 from bench.filters import YAW, YAW_RATE, PlanarEkf
 from bench.wheel_noise import Array
 from thorvaldc.backends.ros2_parameters import process_noise
@@ -313,8 +313,8 @@ def costs() -> Iterator[Figure]:
     def drive(simulation: Simulation) -> None:
         simulation.run(seconds, DRIVE)
 
-    runs = (lambda: drive(plain), lambda: drive(with_sensors))
-    without, measured = least_times(runs, 3)
+    times = in_turns(lambda: drive(plain), lambda: drive(with_sensors), rounds=3)
+    without, measured = map(min, times)
     yield Figure(
         "sensors, share of real time",
         (measured - without) / seconds,
@@ -339,9 +339,9 @@ def costs() -> Iterator[Figure]:
             for _ in range(count):
                 sensor.measure()
 
-        (least,) = least_times([measure], 3)
+        (times,) = in_turns(measure, rounds=3)
         how = f"{len(sensor.directions)} rays" if isinstance(sensor, Lidar) else "one measurement"
-        yield Figure(f"{kind}, one measurement", 1e3 * least / count, "ms", None, "lower", how)
+        yield Figure(f"{kind}, one measurement", 1e3 * min(times) / count, "ms", None, "lower", how)
 
 
 def figures() -> Iterator[Figure]:

@@ -17,7 +17,7 @@ OPTIONS = (
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 )
-WAIT = 60_000
+WAIT = 300_000
 """Time (ms) for what a page does on a busy machine."""
 
 

@@ -4,17 +4,27 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+import tests.examples  # noqa: F401  # chooses the robots before the worker processes start
 from tests.child_process import ended_processes
-from tests.outside_tools import is_listed
+from tests.outside_tools import HIDDEN, hide
+from tests.outside_use import (  # noqa: F401
+    pytest_fixture_setup,
+    pytest_runtest_logreport,
+    pytest_runtest_makereport,
+    pytest_runtest_protocol,
+    pytest_sessionfinish,
+    write_skips,
+)
 from tests.workshop import Workshop
+
+if HIDDEN:
+    hide()
 
 # Hypothesis draws the same examples on every machine: a test fails only because of a change.
 # HYPOTHESIS_PROFILE=default draws new ones.  There is no deadline: machines may be slow.
@@ -39,20 +49,11 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-TESTS = Path(__file__).parent
-
-
-def _check_program(event: str, arguments: tuple[object, ...]) -> None:
-    if event == "subprocess.Popen":
-        caller = sys._getframe(1)
-        while caller.f_back is not None and caller.f_code.co_filename == subprocess.__file__:
-            caller = caller.f_back
-        if Path(caller.f_code.co_filename).is_relative_to(TESTS):  # not a library
-            program = os.fsdecode(str(arguments[0]))
-            assert is_listed(program), f"{program} is not listed in tests/outside_tools.py"
-
-
-sys.addaudithook(_check_program)
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    write_skips(terminalreporter)
+    terminalreporter.write_line(
+        f"robots of the tests for every robot: ROBOTS={os.environ['ROBOTS']}"
+    )
 
 
 @pytest.fixture(autouse=True)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import functools
+import os
+import subprocess
+from collections.abc import Iterable
 from pathlib import Path
 
 from thorvaldc.compiler.pipeline import compile_file
@@ -12,6 +15,40 @@ from thorvaldc.model.stl import binary_stl
 FOLDER = Path(__file__).parent.parent / "examples"
 ROBOTS = tuple(sorted(path.parent.name for path in FOLDER.glob("*/robot.yaml")))
 FLEETS = tuple(sorted(path.parent.name for path in FOLDER.glob("*/fleet.yaml")))
+FIXED_ROBOTS = ("4wd2ws_tall", "4wd4ws_wide", "lss")
+"""Robots that have most features together: steered and fixed wheels, casters, suspension, one and
+two motors per controller, two batteries, an IO board, all sensors, a xacro file; CANopen drives of
+the CiA 402 profile and others."""
+
+
+def _sampled_robots() -> tuple[str, ...]:
+    choice = os.environ.get("ROBOTS", "")
+    if choice == "all":
+        return ROBOTS
+    if choice:
+        return tuple(choice.split(","))
+    others = [name for name in ROBOTS if name not in FIXED_ROBOTS]
+    try:
+        commit = subprocess.run(
+            ["git", "rev-parse", "HEAD"], cwd=FOLDER, capture_output=True, text=True, check=False
+        ).stdout
+    except FileNotFoundError:  # no git
+        commit = ""
+    return (*FIXED_ROBOTS, others[int(commit or "0", 16) % len(others)])
+
+
+SAMPLED_ROBOTS = _sampled_robots()
+"""The robots of a test that holds for every robot: the fixed ones, and one that follows from the
+commit.  The variable ``ROBOTS`` names others, such as ``car,lss``; with ``all``, as in
+``make test-all``, all examples."""
+
+
+def sampled(names: Iterable[str], fixed: Iterable[str]) -> tuple[str, ...]:
+    """Returns the names ``fixed`` of special robots; with ``ROBOTS=all``, all ``names``."""
+    return tuple(names if SAMPLED_ROBOTS == ROBOTS else fixed)
+
+
+os.environ["ROBOTS"] = ",".join(SAMPLED_ROBOTS)  # the same in all processes of a run
 
 
 @functools.cache

@@ -1,27 +1,38 @@
 """The programs and libraries outside of Python that the tests use, with their Debian packages.
 
 ``python3 tests/outside_tools.py`` prints the Debian packages that are missing here.
-``tests/conftest.py`` ends a test that starts a program that is not listed.
+``tests/outside_use.py`` ends a test that starts a program that is not listed, and skips a test that
+starts a program that is missing.
+
+With ``OUTSIDE=none``, tests and the processes that they start find none of the tools: a test that
+needs one is skipped, also where ``CI`` is set.
 """
 
 from __future__ import annotations
 
+import atexit
 import ctypes.util
 import importlib.util
 import os
 import shutil
 import sysconfig
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+HIDDEN = os.environ.get("OUTSIDE") == "none"
+
 
 class Tool(NamedTuple):
-    """An outside program or library, the Debian packages with it, and whether it is here."""
+    """An outside program or library, the Debian packages with it, and a search for it."""
 
     name: str
     packages: str
-    is_here: Callable[[], bool]
+    search: Callable[[], bool]
+
+    def is_here(self) -> bool:
+        return not HIDDEN and self.search()
 
 
 def _program(name: str, packages: str, *other_names: str) -> Tool:
@@ -58,11 +69,15 @@ TOOLS = (
     _program("npm", "npm nodejs"),  # builds the viewer; installs axe-core
     _program("node", "nodejs"),  # runs the extension for VS Code
     Tool(  # draws pictures
-        "EGL",
-        "libegl1 libegl-mesa0 libgl1-mesa-dri",
-        lambda: all(map(ctypes.util.find_library, ("EGL", "EGL_mesa"))),
+        "OpenGL",
+        "libosmesa6",
+        lambda: (
+            bool(ctypes.util.find_library("OSMesa"))
+            or all(map(ctypes.util.find_library, ("EGL", "EGL_mesa", "GL")))
+        ),
     ),
 )
+OPENGL_LIBRARIES = ("EGL", "GL", "GLX", "OSMesa", "OpenGL")
 ENVIRONMENTS = Path(__file__).parents[1] / ".venv"
 DCFGEN = ENVIRONMENTS / "dcfgen/bin/dcfgen"
 """Reads the configuration of ros2_canopen; a Python program with old dependencies.  ``.ci/run``
@@ -78,74 +93,117 @@ USD_CORE_PYTHON = ENVIRONMENTS / "usdcore/bin/python"
 WARP_PYTHON = ENVIRONMENTS / "warp/bin/python"
 """The Python of an environment with MuJoCo Warp and Newton; made by ``.ci/run``."""
 ALWAYS_HERE = frozenset(["sh", "bash"])  # programs of every system
+PLAIN_PROGRAMS = ("sh", "env", "cat", "false", "kill", "ls", "sleep", "stty", "true")
+"""What the tests find in ``PATH`` with ``OUTSIDE=none``."""
+SYSTEM_FOLDERS = ("", "/bin", "/sbin", "/usr/bin", "/usr/sbin")
+
+used: set[str] = set()
+"""The tools that the test has used or looked for, for ``tests/outside_use.py``."""
+
+
+def require(name: str) -> None:
+    """Skips the test without a program or library of the list.
+
+    Where ``CI`` is set, a missing one is an error.
+    """
+    (tool,) = (tool for tool in TOOLS if tool.name == name)
+    used.add(name)
+    if not tool.is_here():
+        without(f"{name} is not installed (Debian: {tool.packages})")
 
 
 def path_of(name: str) -> str:
-    """Returns the path of a program of the list; the test is skipped without it.
-
-    Where ``CI`` is set, a missing program is an error.
-    """
-    (tool,) = (tool for tool in TOOLS if tool.name == name)
-    if not tool.is_here():
-        without(f"{name} is not installed (Debian: {tool.packages})")
+    """Returns the path of a program of the list; the test is skipped without it, as ``require``."""
+    require(name)
     path = shutil.which(name) or shutil.which("google-chrome")
     assert path is not None
     return path
 
 
 def path_of_dcfgen() -> str:
-    """Returns the path of ``dcfgen``; the test is skipped without it, as in ``path_of``."""
-    path = str(DCFGEN) if DCFGEN.exists() else shutil.which("dcfgen")
-    if path is None:
-        without("dcfgen is not installed (.ci/run shows how)")
-    assert path is not None
-    return path
+    """Returns the path of ``dcfgen``; the test is skipped without it, as ``require``."""
+    if not DCFGEN.exists() and (path := shutil.which("dcfgen")):
+        return path
+    return path_in_environment(DCFGEN, "dcfgen is not installed (.ci/run shows how)")
 
 
 def path_of_drake_python() -> str:
-    """Returns the path of a Python with Drake, as ``path_of``."""
-    if not DRAKE_PYTHON.exists():
-        without("Drake is not installed (.ci/run shows how)")
-    return str(DRAKE_PYTHON)
+    """Returns the path of a Python with Drake, as ``path_in_environment``."""
+    return path_in_environment(DRAKE_PYTHON, "Drake is not installed (.ci/run shows how)")
 
 
 def path_of_dart_python() -> str:
-    """Returns the path of a Python with DART, as ``path_of``."""
-    if not DART_PYTHON.exists():
-        without("DART is not installed (.ci/run shows how)")
-    return str(DART_PYTHON)
+    """Returns the path of a Python with DART, as ``path_in_environment``."""
+    return path_in_environment(DART_PYTHON, "DART is not installed (.ci/run shows how)")
 
 
 def path_of_usd_python(*, converter: bool) -> str:
-    """Returns the path of a Python with OpenUSD, with or without its converter, as ``path_of``."""
+    """Returns the path of a Python with OpenUSD, with or without its converter, as
+    ``path_in_environment``."""
     python = USD_PYTHON if converter else USD_CORE_PYTHON
-    if not python.exists():
-        without("OpenUSD is not installed (.ci/run shows how)")
-    return str(python)
+    return path_in_environment(python, "OpenUSD is not installed (.ci/run shows how)")
 
 
 def path_of_warp_python() -> str:
-    """Returns the path of a Python with MuJoCo Warp and Newton, as ``path_of``."""
-    if not WARP_PYTHON.exists():
-        without("MuJoCo Warp is not installed (.ci/run shows how)")
-    return str(WARP_PYTHON)
+    """Returns the path of a Python with MuJoCo Warp and Newton, as ``path_in_environment``."""
+    return path_in_environment(WARP_PYTHON, "MuJoCo Warp is not installed (.ci/run shows how)")
+
+
+def path_in_environment(program: Path, reason: str) -> str:
+    """Returns the path of a program of an environment of its own.
+
+    Without it, the test is skipped with the reason; where ``CI`` is set, that is an error.
+    """
+    used.add(str(program))
+    if HIDDEN or not program.exists():
+        without(reason)
+    return str(program)
 
 
 def without(reason: str) -> None:
     """Skips the test for a missing tool; where ``CI`` is set, the test fails."""
     import pytest
 
-    if os.environ.get("CI"):
+    used.add(reason)
+    if os.environ.get("CI") and not HIDDEN:
         pytest.fail(reason)
     pytest.skip(reason)
 
 
-def is_listed(program: str) -> bool:
-    """Whether tests may start a program: listed here, or of no folder of the system."""
+def listed_name(program: str) -> str:
+    """Returns the name in the list of a program that a test starts, or an empty text.
+
+    Raises ``AssertionError`` for a program of the system that is not listed.
+    """
     folder, name = os.path.split(program)
-    outside = not folder or folder in ("/bin", "/sbin", "/usr/bin", "/usr/sbin")
-    names = {tool.name for tool in TOOLS} | {"google-chrome"} | ALWAYS_HERE
-    return not outside or name in names or name.startswith("python")
+    if folder not in SYSTEM_FOLDERS:
+        return ""
+    name = "chromium" if name == "google-chrome" else name
+    if name in {tool.name for tool in TOOLS}:
+        return name
+    known = name in ALWAYS_HERE or name.startswith("python")
+    assert known, f"{program} is not listed in tests/outside_tools.py"
+    return ""
+
+
+def hide() -> None:
+    """Hides the tools from this process and from those that it starts.
+
+    ``PATH`` has the plain programs alone.  The first file with each name of an OpenGL library that
+    the loader finds is empty, as if there was none.
+    """
+    folder = Path(tempfile.mkdtemp(prefix="thorvaldc-outside-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    for name in PLAIN_PROGRAMS:
+        if path := shutil.which(name):
+            (folder / name).symlink_to(path)
+    for library in OPENGL_LIBRARIES:
+        for version in ("", *(f".{number}" for number in range(10))):
+            (folder / f"lib{library}.so{version}").touch()
+    os.environ["PATH"] = str(folder)
+    libraries = filter(None, (str(folder), os.environ.get("LD_LIBRARY_PATH")))
+    os.environ["LD_LIBRARY_PATH"] = os.pathsep.join(libraries)
+    os.environ.pop("MUJOCO_GL", None)
 
 
 if __name__ == "__main__":

@@ -26,5 +26,5 @@ def lose_files(folder: Path) -> None:
 
 def _git(folder: Path, *arguments: str) -> str:
     return subprocess.run(
-        ["git", *arguments], cwd=folder, check=True, capture_output=True, timeout=60, text=True
+        ["git", *arguments], cwd=folder, check=True, capture_output=True, timeout=300, text=True
     ).stdout

@@ -1,4 +1,4 @@
-"""Parameters of tests: the first are quick, the others belong to the group `slow`."""
+"""Parameters of tests in three groups: quick ones, `slow` ones and `exhaustive` ones."""
 
 from __future__ import annotations
 
@@ -8,8 +8,16 @@ from typing import Any
 import pytest
 
 
-def mostly_slow(values: Iterable[Any], quick: int = 1) -> list[Any]:
-    """Returns parameters of which all but the first ``quick`` have the marker `slow`."""
+def mostly_slow(values: Iterable[Any], quick: int = 1, slow: int | None = None) -> list[Any]:
+    """Returns parameters: the first ``quick`` have no marker, the next ``slow`` (or all others) the
+    marker `slow`, and the rest `exhaustive`."""
     parameters = list(values)
-    slow = (pytest.param(value, marks=pytest.mark.slow) for value in parameters[quick:])
-    return [*parameters[:quick], *slow]
+    last = len(parameters) if slow is None else quick + slow
+    marks = [*[()] * quick, *[pytest.mark.slow] * (last - quick)]
+    marks += [pytest.mark.exhaustive] * (len(parameters) - last)
+    return [pytest.param(value, marks=mark) for value, mark in zip(parameters, marks, strict=False)]
+
+
+def mostly_exhaustive(values: Iterable[Any], quick: int = 1) -> list[Any]:
+    """Returns parameters of which all but the first ``quick`` have the marker `exhaustive`."""
+    return mostly_slow(values, quick, slow=0)

@@ -49,7 +49,7 @@ def answer_questions(
                     os.write(ours, line.encode() if line == "\x03" else f"{line}\n".encode())
                     break
         assert process.poll() is not None or time.monotonic() < until, shown
-        return process.wait(timeout=20), shown
+        return process.wait(timeout=300), shown
     finally:
         process.end()
         os.close(ours)

@@ -36,6 +36,7 @@ def test_compile_emit_and_simulate() -> None:
     files = thorvaldc.emit(compilation.model, ["mjcf"], compilation.report)
     result = thorvaldc.Simulation(compilation.model, files).run(0.5, _forward())
     assert result.robots[0].path_true > 0.0
+    assert pickle.loads(pickle.dumps(result)) == result  # as a process pool passes it on
 
 
 def _forward() -> object:

@@ -13,6 +13,8 @@ from typing import TypeGuard
 
 import pytest
 
+from workshop.compiled_runtime import MODULES
+
 # One worker runs these tests: then the package is parsed once.
 pytestmark = pytest.mark.xdist_group("house rules")
 ROOT = Path(__file__).resolve().parents[1]
@@ -40,15 +42,19 @@ VAGUE = frozenset(
 )
 
 
-def functions(tree: ast.AST) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
-    for node in ast.walk(tree):
+Nodes = dict[Path, list[ast.AST]]
+"""The nodes of the syntax tree of each file of the package."""
+
+
+def functions(nodes: list[ast.AST]) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    for node in nodes:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             yield node
 
 
-def bound_names(tree: ast.AST) -> Iterator[tuple[int, str]]:
+def bound_names(nodes: list[ast.AST]) -> Iterator[tuple[int, str]]:
     """Line and name of every local variable, parameter and caught exception."""
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             yield node.lineno, node.id
         elif isinstance(node, ast.arg):
@@ -58,11 +64,11 @@ def bound_names(tree: ast.AST) -> Iterator[tuple[int, str]]:
 
 
 @pytest.fixture(scope="module")
-def trees() -> dict[Path, ast.Module]:
-    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
+def package() -> Nodes:
+    return {path: [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))] for path in FILES}
 
 
-def test_no_file_and_no_function_is_too_long(trees: dict[Path, ast.Module]) -> None:
+def test_no_file_and_no_function_is_too_long(package: Nodes) -> None:
     long_files = [
         str(path.relative_to(ROOT))
         for path in (*FILES, *TESTS)
@@ -70,8 +76,8 @@ def test_no_file_and_no_function_is_too_long(trees: dict[Path, ast.Module]) -> N
     ]
     long_functions = [
         f"{path.relative_to(ROOT)}:{function.lineno} {function.name}"
-        for path, tree in trees.items()
-        for function in functions(tree)
+        for path, nodes in package.items()
+        for function in functions(nodes)
         if (function.end_lineno or 0) - function.lineno + 1 > LONGEST_FUNCTION
     ]
     assert (long_files, long_functions) == ([], [])
@@ -93,22 +99,22 @@ def test_no_file_has_a_name_without_content() -> None:
     assert [str(path) for path in FILES if path.name in empty] == []
 
 
-def test_variables_name_things(trees: dict[Path, ast.Module]) -> None:
+def test_variables_name_things(package: Nodes) -> None:
     vague = [
         f"{path.relative_to(ROOT)}:{line} {name}"
-        for path, tree in trees.items()
-        for line, name in bound_names(tree)
+        for path, nodes in package.items()
+        for line, name in bound_names(nodes)
         if name in VAGUE
     ]
     assert vague == []
 
 
-def test_exceptions_are_errors(trees: dict[Path, ast.Module]) -> None:
+def test_exceptions_are_errors(package: Nodes) -> None:
     """A fault is a state of the driver or of a device; a Python exception is an error."""
     named_fault = [
         f"{path.relative_to(ROOT)}:{node.lineno}"
-        for path, tree in trees.items()
-        for node in ast.walk(tree)
+        for path, nodes in package.items()
+        for node in nodes
         if isinstance(node, ast.ExceptHandler) and node.name == "fault"
     ]
     assert named_fault == []
@@ -143,19 +149,19 @@ def counts(argument: ast.expr) -> bool:
     return isinstance(element, ast.Constant) and type(element.value) is int
 
 
-def test_floats_are_added_alike_on_every_python(trees: dict[Path, ast.Module]) -> None:
+def test_floats_are_added_alike_on_every_python(package: Nodes) -> None:
     """``sum`` rounds floats in another way since Python 3.12; ``float_sum`` does not."""
     sums = []
-    for path, tree in trees.items():
+    for path, nodes in package.items():
         integer_sums = {
             node.func
-            for node in ast.walk(tree)
+            for node in nodes
             if is_call(node, "sum")
             and (ast.unparse(node) in INTEGER_SUMS or (node.args and counts(node.args[0])))
         }
         sums += [
             f"{path.relative_to(ROOT)}:{node.lineno}"
-            for node in ast.walk(tree)
+            for node in nodes
             if isinstance(node, ast.Name) and node.id == "sum" and node not in integer_sums
         ]
     assert sums == []
@@ -170,12 +176,12 @@ def is_call(node: ast.AST, name: str) -> TypeGuard[ast.Call]:
     return last.endswith(name.split(".")[-1]) and ast.unparse(node.func).endswith(name)
 
 
-def calls(trees: dict[Path, ast.Module], name: str) -> set[str]:
+def calls(package: Nodes, name: str) -> set[str]:
     """Returns the files of the package that call a function or a method ``name``."""
     return {
         path.relative_to(PACKAGE).as_posix()
-        for path, tree in trees.items()
-        for node in ast.walk(tree)
+        for path, nodes in package.items()
+        for node in nodes
         if is_call(node, name)
     }
 
@@ -188,10 +194,11 @@ def nodes_with(text: str) -> Iterator[tuple[Path, ast.AST]]:
             yield from ((path, node) for node in ast.walk(ast.parse(content)))
 
 
-def test_json_of_others_is_read_in_one_place(trees: dict[Path, ast.Module]) -> None:
+def test_json_of_others_is_read_in_one_place(package: Nodes) -> None:
     """``json.loads`` raises ``RecursionError`` for nested brackets, and is for texts of our own."""
-    assert calls(trees, "json.loads") | calls(trees, "json.load") == present(
+    assert calls(package, "json.loads") | calls(package, "json.load") == present(
         "compiler/output/writer.py",
+        "compiler/sandbox/worker_protocol.py",
         "diagnostics/files.py",
         "schema/__init__.py",
         "comparison/robot_difference.py",
@@ -204,9 +211,9 @@ def present(*paths: str) -> set[str]:
     return {path for path in paths if (PACKAGE / path).parent.is_dir()}
 
 
-def test_files_are_written_in_one_place(trees: dict[Path, ast.Module]) -> None:
+def test_files_are_written_in_one_place(package: Nodes) -> None:
     """A full disk leaves a half file behind ``write_text``; these write to temporary folders."""
-    assert calls(trees, ".write_text") | calls(trees, "path.write_bytes") == present(
+    assert calls(package, ".write_text") | calls(package, "path.write_bytes") == present(
         "cli/robot_file.py",  # a mark whose content does not count
         "compiler/output/writer.py",
         "simulation/physics/mujoco_scene.py",
@@ -229,17 +236,17 @@ def pads_text(node: ast.AST) -> bool:
 
 
 def test_columns_and_markdown_are_laid_out_in_one_place(
-    trees: dict[Path, ast.Module],
+    package: Nodes,
 ) -> None:
     padding = {
         path.relative_to(PACKAGE).as_posix()
-        for path, tree in trees.items()
-        if any(map(pads_text, ast.walk(tree)))
+        for path, nodes in package.items()
+        if any(map(pads_text, nodes))
     }
     escapers = {
         path.relative_to(PACKAGE).as_posix()
-        for path, tree in trees.items()
-        for node in ast.walk(tree)
+        for path, nodes in package.items()
+        for node in nodes
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and "*_[" in node.value
     }
     assert escapers == {"diagnostics/text_layout.py"}
@@ -281,7 +288,7 @@ def test_groups_are_respected(request: pytest.FixtureRequest) -> None:
     assert request.node.nodeid.endswith("@house rules"), "a group runs in one process"
 
 
-def test_no_modules_import_each_other(trees: dict[Path, ast.Module]) -> None:
+def test_no_modules_import_each_other(package: Nodes) -> None:
     """Neither in turn: what a module needs can be read before it.  Imports for types count, too."""
     names = {
         path: ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
@@ -291,7 +298,7 @@ def test_no_modules_import_each_other(trees: dict[Path, ast.Module]) -> None:
     modules = set(names.values())
     sorter: TopologicalSorter[str] = TopologicalSorter()
     for path, name in names.items():
-        for node in ast.walk(trees[path]):
+        for node in package[path]:
             if isinstance(node, ast.ImportFrom):
                 for alias in node.names:
                     module = f"{node.module}.{alias.name}"
@@ -299,3 +306,30 @@ def test_no_modules_import_each_other(trees: dict[Path, ast.Module]) -> None:
                     if imported in modules:
                         sorter.add(name, imported)
     sorter.prepare()  # raises CycleError, which names the circle
+
+
+def test_interpreted_classes_inherit_from_compiled_ones_that_allow_it(
+    trees: dict[Path, ast.Module],
+) -> None:
+    """The others cannot be created in a compiled wheel (``runtime/mypyc_marks.py``)."""
+    modules = {PACKAGE / f"{module}.py" for module in MODULES}
+    classes = {
+        path: [node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+        for path, tree in trees.items()
+    }
+    closed = {
+        node.name
+        for path in modules
+        for node in classes[path]
+        if "mypyc_attr(allow_interpreted_subclasses=True)"
+        not in map(ast.unparse, node.decorator_list)
+    }
+    subclasses = [
+        f"{path.relative_to(ROOT)}:{node.lineno} {node.name}({name})"
+        for path in FILES
+        if path not in modules
+        for node in classes[path]
+        for base in node.bases
+        if (name := ast.unparse(base).partition("[")[0].rpartition(".")[2]) in closed
+    ]
+    assert subclasses == []

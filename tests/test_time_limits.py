@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -30,7 +29,6 @@ def test_a_test_that_hangs_fails_and_the_next_runs(tmp_path: Path) -> None:
     pytest.importorskip("pytest_timeout")
     (tmp_path / "test_hanging.py").write_text(HANGING)
     command = ["-m", "pytest", "-q", "-c", os.devnull, "--rootdir", ".", "-p", "no:cacheprovider"]
-    start = time.monotonic()
     result = subprocess.run(
         [sys.executable, *command, "test_hanging.py"],
         cwd=tmp_path,
@@ -39,7 +37,8 @@ def test_a_test_that_hangs_fails_and_the_next_runs(tmp_path: Path) -> None:
             "PYTHONPATH": str(Path(__file__).parents[1]),
             "PYTEST_TIMEOUT": "5",
         },
-        capture_output=True,  # its end is the end of all processes that hold the pipes
+        # The pipes end with the last process that holds them: a process that is left fails here.
+        capture_output=True,
         text=True,
         timeout=300,
         check=False,
@@ -47,4 +46,3 @@ def test_a_test_that_hangs_fails_and_the_next_runs(tmp_path: Path) -> None:
     assert "2 failed" in result.stdout, result.stdout
     assert "in the block" in result.stdout
     assert "Timeout (>5.0s)" in result.stdout
-    assert time.monotonic() - start < 120

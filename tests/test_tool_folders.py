@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import GOOD
+from tests.slow import mostly_slow
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -44,15 +45,19 @@ def call(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize(
     "arguments",
-    [
-        ("check", "good.yaml"),
-        ("build", "good.yaml"),
-        ("sim", "good.yaml", "--twist", "0.3,0,0", "--duration", "0.5"),
-        ("can", "plan", "good.yaml", "--bus", "virtual"),
-        ("modules", "list"),
-        ("explain", "TV501"),
-        ("run", "good.yaml", "--bus", "virtual", "--duration", "0.2"),
-    ],
+    mostly_slow(
+        [
+            ("build", "good.yaml"),
+            ("sim", "good.yaml", "--twist", "0.3,0,0", "--duration", "0.5"),
+            ("run", "good.yaml", "--bus", "virtual", "--duration", "0.2"),
+            ("check", "good.yaml"),
+            ("can", "plan", "good.yaml", "--bus", "virtual"),
+            ("modules", "list"),
+            ("explain", "TV501"),
+        ],
+        quick=2,
+        slow=1,
+    ),
 )
 def test_the_core_works_when_all_tools_are_deleted(core: Path, arguments: tuple[str, ...]) -> None:
     result = call(core, *arguments)

@@ -56,8 +56,8 @@ if TYPE_CHECKING:
     from thorvaldc.model.scenario import SensorSettings
     from thorvaldc.runtime.driver import BaseDriver, DriverState
     from thorvaldc.runtime.se2 import Pose2, Twist
-    from thorvaldc.simulation.control_loop import RobotResult, SimulationResult
     from thorvaldc.simulation.physics.sim_base import SimBase
+    from thorvaldc.simulation.simulation_result import RobotResult, SimulationResult
     from thorvaldc.simulation.simulation_run import Simulation
 else:
     # Type checkers do not see ``__getattr__``: they would accept every name, with the type Any.
@@ -72,12 +72,12 @@ else:
         "Pose2": "runtime.se2",
         "Report": "diagnostics",
         "Robot": "model",
-        "RobotResult": "simulation.control_loop",
+        "RobotResult": "simulation.simulation_result",
         "SensorSettings": "model.scenario",
         "Severity": "diagnostics",
         "SimBase": "simulation.physics.sim_base",
         "Simulation": "simulation.simulation_run",
-        "SimulationResult": "simulation.control_loop",
+        "SimulationResult": "simulation.simulation_result",
         "Span": "diagnostics",
         "Twist": "runtime.se2",
         "compile": "compiler.pipeline:compile_file",

@@ -63,7 +63,11 @@ disable_warnings = no-data-collected,module-not-imported,module-not-measured,cou
 """
 
 
-OPTIONS = ("-n0", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
+OPTIONS = (
+    *("-n0", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"),
+    *("-m", "not exhaustive"),
+)
+"""The tests are those of CI."""
 
 
 class Outcome(NamedTuple):

@@ -351,7 +351,8 @@ def run(layer: str, mutants: list[Mutant], jobs: int) -> bool:
                     print(f"                 by {failure}", flush=True)
     number = max(len(mutants), 1)
     print(f"{layer}: {1.0 - survivors / number:.0%} of {len(mutants)} mutants noticed, ", end="")
-    print(f"{total / number:.1f} s of CPU each", flush=True)
+    noticed = max(len(mutants) - survivors, 1)
+    print(f"{total / noticed:.1f} s of CPU for each of them", flush=True)
     return not survivors
 
 

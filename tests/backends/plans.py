@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tests.examples import sampled
 from tests.robots import SPAN
 from thorvaldc.model import (
     Actuator,
@@ -514,6 +515,7 @@ ROBOTS: dict[str, Robot] = {
         [Plan(0.8 * (i - 1), 0.6 * (j - 1), suspended=True) for i in range(3) for j in range(3)]
     ),
 }
+SAMPLED_PLANS = sampled(sorted(ROBOTS), ["casters", "mixed_radii", "swing_arms"])
 
 
 def grafted(seed: int) -> Robot:

@@ -12,11 +12,10 @@ import pytest
 from tests.backend_files import files_of
 from tests.backends.agreement import differences
 from tests.backends.conftest import write
-from tests.backends.plans import ROBOTS, Plan, build, graft, grafted
+from tests.backends.plans import ROBOTS, SAMPLED_PLANS, Plan, build, graft, grafted
 from tests.backends.seeded_errors import SEEDED_ERRORS, SeededError
-from tests.examples import FLEETS, example_fleet, example_robot
-from tests.examples import ROBOTS as EXAMPLES
-from tests.slow import mostly_slow
+from tests.examples import FLEETS, SAMPLED_ROBOTS, example_fleet, example_robot
+from tests.slow import mostly_exhaustive
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.model import Fleet, Robot
@@ -26,7 +25,7 @@ Written = Callable[[Robot], Path]
 WrittenFleet = Callable[[Fleet], Path]
 
 
-@pytest.mark.parametrize("name", sorted(ROBOTS))
+@pytest.mark.parametrize("name", SAMPLED_PLANS)
 def test_formats_agree(name: str, written: Written) -> None:
     assert differences(written(ROBOTS[name]), ROBOTS[name]) == []
 
@@ -46,7 +45,7 @@ def test_formats_agree_on_swing_arms_that_turn_far(written: Written) -> None:
     assert differences(written(robot), robot) == []
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_formats_agree_on_examples(name: str, written: Written) -> None:
     robot = example_robot(name)
     assert differences(written(robot), robot) == []
@@ -60,7 +59,7 @@ def test_formats_agree_in_fleets(name: str, written_fleet: WrittenFleet) -> None
         assert differences(folder / placement.name, placement.robot) == []
 
 
-@pytest.mark.parametrize("seed", mostly_slow(range(18), 6))
+@pytest.mark.parametrize("seed", mostly_exhaustive(range(18), 3))
 def test_formats_agree_on_random_trees(seed: int, written: Written) -> None:
     robot = grafted(seed)
     assert differences(written(robot), robot) == []
@@ -90,7 +89,14 @@ def test_unchanged_files_agree(victim: Robot, correct_files: Path) -> None:
     assert len({error.name for error in SEEDED_ERRORS}) == len(SEEDED_ERRORS)
 
 
-@pytest.mark.parametrize("error", SEEDED_ERRORS, ids=lambda error: error.name)
+# A third of the errors, of all kinds, is quick: they test the comparison and not the formats.
+THIRD = SEEDED_ERRORS[::3]
+OTHERS = [error for error in SEEDED_ERRORS if error not in THIRD]
+
+
+@pytest.mark.parametrize(
+    "error", mostly_exhaustive([*THIRD, *OTHERS], len(THIRD)), ids=lambda error: error.name
+)
 def test_seeded_error_is_detected(
     error: SeededError, victim: Robot, correct_files: Path, tmp_path: Path
 ) -> None:

@@ -16,7 +16,7 @@ import yaml
 
 from tests.backend_files import files_of
 from tests.buses import robot_with_bus
-from tests.examples import ROBOTS, example_robot
+from tests.examples import SAMPLED_ROBOTS, example_robot
 from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.backends.can import Can
 from thorvaldc.compiler.pipeline import compile_file
@@ -158,7 +158,7 @@ def test_objects_of_cia_402_are_only_in_drives_of_cia_402() -> None:
     assert "LSS_Supported=0" in text
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_canopen_reads_every_dcf_of_the_examples(name: str, tmp_path: Path) -> None:
     robot = example_robot(name)
     files = files_of(Can, robot)
@@ -220,7 +220,7 @@ def test_names_and_texts_that_are_not_valid_in_a_header(tmp_path: Path, cc: str)
     assert compiled(header, main, tmp_path, cc) == ["-3 -0.5 -1"]
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_header_of_an_example_compiles(name: str, tmp_path: Path, cc: str) -> None:
     robot = example_robot(name)
     header = files_of(Can, robot)["can/robot_can.h"]

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from tests.backend_files import files_of
-from tests.examples import ROBOTS, example_robot
+from tests.examples import SAMPLED_ROBOTS, example_robot
 from tests.outside_tools import path_of_dcfgen
 from tests.simulation.bus.master import Master
 from tests.simulation.bus.robots import cia402_robot, uneven_robot
@@ -63,7 +63,7 @@ def concise_dcf(data: bytes) -> dict[tuple[int, int], bytes]:
     return values
 
 
-@pytest.mark.parametrize("name", ["cia402", *ROBOTS])
+@pytest.mark.parametrize("name", ["cia402", *SAMPLED_ROBOTS])
 def test_dcfgen_writes_all_values(name: str, tmp_path: Path) -> None:
     """With the rearranged file that the tool `cogen` of ros2_canopen passes to `dcfgen`."""
     dcfgen = path_of_dcfgen()

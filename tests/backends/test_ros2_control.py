@@ -18,8 +18,7 @@ import yaml
 from tests.backends.conftest import write
 from tests.backends.plans import Plan, build
 from tests.backends.rcl_parameters import read
-from tests.examples import FLEETS, example_fleet, example_robot
-from tests.examples import ROBOTS as EXAMPLES
+from tests.examples import FLEETS, SAMPLED_ROBOTS, example_fleet, example_robot
 from tests.robots import SPAN
 from tests.simulation.bus.robots import cia402_robot, uneven_robot
 from thorvaldc.backends.description_parts import mesh_files
@@ -140,7 +139,7 @@ ROBOTS = {
 
 
 def every_robot() -> dict[str, Robot]:
-    robots = ROBOTS | {name: example_robot(name) for name in EXAMPLES}
+    robots = ROBOTS | {name: example_robot(name) for name in SAMPLED_ROBOTS}
     for fleet in FLEETS:
         robots |= {f"{fleet}-{p.name}": p.robot for p in example_fleet(fleet).placements}
     return robots

@@ -14,9 +14,8 @@ from tests.backend_files import files_of
 from tests.backends.conftest import write
 from tests.backends.drake_jobs import read_by_drake
 from tests.backends.plans import ROBOTS as PLANS
-from tests.backends.plans import Plan, build
-from tests.examples import FLEETS, FOLDER, example_fleet, example_robot
-from tests.examples import ROBOTS as EXAMPLES
+from tests.backends.plans import SAMPLED_PLANS, Plan, build
+from tests.examples import FLEETS, FOLDER, SAMPLED_ROBOTS, example_fleet, example_robot
 from thorvaldc.backends.ros2_parts import bridged_topics
 from thorvaldc.backends.sdf import Sdf, world_files
 from thorvaldc.backends.sdf_robot import CAMERA
@@ -27,10 +26,14 @@ from thorvaldc.model.spatial import rotate
 
 
 def robots() -> dict[str, Robot]:
-    named = {name: example_robot(name) for name in EXAMPLES}
-    for fleet in FLEETS:
+    named = {name: example_robot(name) for name in SAMPLED_ROBOTS}
+    for fleet in FLEETS[:1]:
         named |= {f"{fleet}-{p.name}": p.robot for p in example_fleet(fleet).placements}
-    return named | {name: robot for name, robot in PLANS.items() if not has_mimics(robot)}
+    return named | {
+        name: robot
+        for name, robot in PLANS.items()
+        if name in SAMPLED_PLANS and not has_mimics(robot)
+    }
 
 
 def has_mimics(robot: Robot) -> bool:

@@ -18,8 +18,7 @@ import pytest
 from tests.backend_files import files_of
 from tests.backends.conftest import write
 from tests.backends.drake_jobs import read_by_drake, wheel_targets
-from tests.examples import FLEETS, FOLDER, example_fleet, example_robot
-from tests.examples import ROBOTS as EXAMPLES
+from tests.examples import FLEETS, FOLDER, SAMPLED_ROBOTS, example_fleet, example_robot
 from tests.outside_tools import path_of_dart_python
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.backends.sdf import Sdf, model_text
@@ -56,12 +55,12 @@ def fleets() -> dict[str, Fleet]:
 @pytest.mark.slow
 def test_libsdformat_accepts_every_model_and_world(tmp_path: Path, ign: str) -> None:
     """A world contains the models of its robots; the models alone are those of three robots."""
-    models: dict[str, Robot | Fleet] = {name: example_robot(name) for name in EXAMPLES}
+    models: dict[str, Robot | Fleet] = {name: example_robot(name) for name in SAMPLED_ROBOTS}
     paths = []
     for name, model in (models | fleets()).items():
         folder = write(files_of(Sdf, model), tmp_path / name)
         paths.append(folder / "sdf/world.sdf")
-        if name in EXAMPLES[:3]:
+        if name in SAMPLED_ROBOTS[:3]:
             paths += [folder / "sdf/model.sdf", folder / "sdf/ros2_control.sdf"]
             paths[-1].write_text(model_text(example_robot(name), share="/share"))
     texts = read_by_sdformat([("check", path) for path in paths])
@@ -170,7 +169,7 @@ def model_of(text: str) -> ElementTree.Element:
 
 
 def every_robot() -> dict[str, Robot]:
-    robots = {name: example_robot(name) for name in EXAMPLES}
+    robots = {name: example_robot(name) for name in SAMPLED_ROBOTS}
     for fleet in FLEETS:
         robots |= {f"{fleet}-{p.name}": p.robot for p in example_fleet(fleet).placements}
     return robots

@@ -49,7 +49,12 @@ Command = Callable[..., Result]
 @pytest.fixture
 def thorvaldc(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Command:
     """``thorvaldc("check", "robot.yaml")`` in a folder with good.yaml, bad.yaml and shaky.yaml."""
-    monkeypatch.chdir(tmp_path)
+    return run_in_this_process(monkeypatch, tmp_path)
+
+
+def run_in_this_process(monkeypatch: pytest.MonkeyPatch, folder: Path) -> Command:
+    """Returns the function of the fixture ``thorvaldc``, for a fixture of a module."""
+    monkeypatch.chdir(folder)
     for name in ("NO_COLOR", "FORCE_COLOR", "THORVALDC_TRACEBACK"):
         monkeypatch.delenv(name, raising=False)
     for name, text in (("good", GOOD), ("bad", BAD), ("shaky", SHAKY)):

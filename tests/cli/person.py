@@ -15,7 +15,8 @@ from pathlib import Path
 
 from tests.child_process import ChildProcess, end_at_hang_up
 
-PATIENCE = 60.0
+PATIENCE = 300.0
+"""Seconds for an answer, which a busy computer needs as well."""
 
 
 class Person:

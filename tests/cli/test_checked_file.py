@@ -15,6 +15,7 @@ import pytest
 
 from tests.child_process import ChildProcess
 from tests.cli.conftest import BAD, GOOD, Command
+from tests.slow import mostly_slow
 from thorvaldc.cli import checked_file
 from thorvaldc.cli.checked_file import CheckedFile, check_file, check_files
 from thorvaldc.simulation import worker_processes
@@ -44,7 +45,7 @@ def files(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return FILES
 
 
-@pytest.mark.parametrize("format", ["text", "json", "sarif"])
+@pytest.mark.parametrize("format", mostly_slow(["text", "json", "sarif"], slow=1))
 def test_processes_find_what_one_process_finds(
     thorvaldc: Command, files: list[str], format: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -120,9 +121,9 @@ def test_ctrl_c_ends_all_processes(thorvaldc: Command) -> None:
     assert process.stdout is not None
     assert process.stdout.readline().startswith("0.yaml: good")
     os.killpg(process.pid, signal.SIGINT)
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=300)
     assert (process.returncode, err) == (130, "interrupted\n")
-    end = time.monotonic() + 20.0
+    end = time.monotonic() + 300.0
     while time.monotonic() < end:
         try:
             os.killpg(process.pid, 0)

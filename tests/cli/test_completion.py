@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -10,11 +11,12 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import needs_tools
+from tests.cli.conftest import Command, needs_tools
 from tests.cli.test_command_table import HEAVY
 from tests.examples import FOLDER
 from thorvaldc.cli.completion import joined_words
@@ -53,17 +55,27 @@ def shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield tmp_path
 
 
+@cache
+def completion_script() -> str:
+    environment = {**os.environ, "_THORVALDC_COMPLETE": "source_bash"}
+    program = shutil.which("thorvaldc")
+    assert program is not None
+    return subprocess.run(
+        [sys.executable, program], env=environment, capture_output=True, text=True, check=True
+    ).stdout
+
+
 def bash(*words: str) -> list[str]:
     """The answers of a real bash to Tab at the end of the words, which are split as bash does."""
     quoted = " ".join(f"'{word}'" for word in words)
     script = (
-        'eval "$(_THORVALDC_COMPLETE=source_bash thorvaldc)"\n'
+        f"{completion_script()}\n"
         f"COMP_WORDS=({quoted}) COMP_CWORD={len(words) - 1}\n"
         "_thorvaldc_completion thorvaldc\n"
         'printf "%s\\n" "${COMPREPLY[@]}"\n'
     )
     done = subprocess.run(
-        ["bash", "--norc", "-c", script], capture_output=True, text=True, check=True, timeout=60
+        ["bash", "--norc", "-c", script], capture_output=True, text=True, check=True, timeout=300
     )
     assert not done.stderr
     return done.stdout.split()
@@ -73,20 +85,35 @@ def bash(*words: str) -> list[str]:
 def test_bash_completes_the_values_of_options_and_arguments(shell: Path) -> None:
     assert "urdf" in bash("thorvaldc", "build", "--target", "")
     assert "urdf,mjcf" in bash("thorvaldc", "build", "--target", "urdf,m")
-    assert "4wd4ws" in bash("thorvaldc", "new", "one", "--preset", "")
     assert bash("thorvaldc", "modules", "show", "drive/st") == ["drive/standard"]
-    assert bash("thorvaldc", "explain", "TV501") == ["TV501"]
-    assert bash("thorvaldc", "explain", "can-id-dup") == ["can-id-duplicate"]
-    assert "scenario" in bash("thorvaldc", "schema", "")
-    assert bash("thorvaldc", "batch", str(FIELD), "--set", "world.fri") == ["world.friction="]
+
+
+@needs_tools
+def test_each_kind_of_value_is_completed(
+    thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def answers(*words: str) -> list[str]:
+        """Returns the answers to Tab of bash at the end of the words, from this process."""
+        monkeypatch.setenv("_THORVALDC_COMPLETE", "complete_bash")
+        monkeypatch.setenv("COMP_WORDS", "\n".join(["thorvaldc", *words]))
+        monkeypatch.setenv("COMP_CWORD", str(len(words)))
+        result = thorvaldc()
+        assert not result.err
+        return result.out.split()
+
+    assert "4wd4ws" in answers("new", "one", "--preset", "")
+    assert answers("explain", "TV501") == ["TV501"]
+    assert answers("explain", "can-id-dup") == ["can-id-duplicate"]
+    assert "scenario" in answers("schema", "")
+    assert answers("batch", str(FIELD), "--set", "world.fri") == ["world.friction="]
     Path("deep.yaml").write_text("[" * 100_000 + "]" * 100_000)
-    assert bash("thorvaldc", "batch", "deep.yaml", "--set", "") == []
-    assert bash("thorvaldc", "render", "robot.yaml", "--view", "r") == ["rear", "right"]
-    assert "virtual" in bash("thorvaldc", "run", "robot.yaml", "--bus", "")
-    assert bash("thorvaldc", "teleop", "robot.yaml", "--on", "id") == ["ideal"]
-    assert {"mass", "wheels.", "size."} <= set(bash("thorvaldc", "why", str(CAR), ""))
-    assert "wheels.fl_wheel." in bash("thorvaldc", "why", str(CAR), "wh")
-    assert bash("thorvaldc", "why", "bad.yaml", "wh") == []
+    assert answers("batch", "deep.yaml", "--set", "") == []
+    assert answers("render", "robot.yaml", "--view", "r") == ["rear", "right"]
+    assert "virtual" in answers("run", "robot.yaml", "--bus", "")
+    assert answers("teleop", "robot.yaml", "--on", "id") == ["ideal"]
+    assert {"mass", "wheels.", "size."} <= set(answers("why", str(CAR), ""))
+    assert "wheels.fl_wheel." in answers("why", str(CAR), "wh")
+    assert answers("why", "bad.yaml", "wh") == []
 
 
 @needs_tools
@@ -160,7 +187,7 @@ def test_zsh_and_fish(
         capture_output=True,
         text=True,
         check=True,
-        timeout=60,
+        timeout=300,
     ).stdout
     assert expected in done
 
@@ -168,10 +195,10 @@ def test_zsh_and_fish(
 @pytest.mark.parametrize(
     "words",
     [
-        ("sim", "--"),
+        pytest.param(("sim", "--"), marks=pytest.mark.exhaustive),
         ("faults", "--"),
         ("build", "--target", ""),
-        ("modules", "show", ""),
+        pytest.param(("modules", "show", ""), marks=pytest.mark.exhaustive),
         ("batch", str(FIELD), "--set", ""),
     ],
     ids="-".join,

@@ -34,7 +34,7 @@ def start(body: str, **more: object) -> subprocess.Popen[str]:
 
 def finish(body: str, **more: object) -> tuple[int, str, str]:
     process = start(body, **more)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=300)
     return process.returncode, out, err
 
 
@@ -43,7 +43,7 @@ def test_ctrl_c_is_one_line_and_130() -> None:
     assert process.stdout is not None
     process.stdout.readline()
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=10)
+    _, err = process.communicate(timeout=300)
     assert (process.returncode, err) == (130, "interrupted\n")
 
 
@@ -56,7 +56,7 @@ def test_ctrl_c_that_a_package_converts_to_another_exception() -> None:
     assert process.stdout is not None
     process.stdout.readline()
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=10)
+    _, err = process.communicate(timeout=300)
     assert (process.returncode, err) == (130, "interrupted\n")
 
 
@@ -67,7 +67,7 @@ def test_a_reader_that_leaves_is_not_an_error() -> None:
     process.stdout.readline()
     process.stdout.close()
     assert process.stderr.read() == ""
-    assert process.wait(10) == 141
+    assert process.wait(300) == 141
     process.stderr.close()
 
 
@@ -76,7 +76,7 @@ def test_little_output_to_a_reader_that_never_read() -> None:
     process = start("time.sleep(0.3)\nprint('x')\nreturn 0", stdout=write)
     os.close(write)
     os.close(read)
-    _, err = process.communicate(timeout=10)
+    _, err = process.communicate(timeout=300)
     assert (process.returncode, err) == (141, "")
 
 
@@ -138,5 +138,5 @@ def test_a_second_ctrl_c_does_not_bring_a_traceback() -> None:
     process.send_signal(signal.SIGINT)
     time.sleep(0.002)
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=10)
+    _, err = process.communicate(timeout=300)
     assert "Traceback" not in err

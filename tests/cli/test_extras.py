@@ -14,6 +14,8 @@ import pytest
 from packaging.requirements import Requirement
 
 from tests.cli.conftest import Command, needs_tools
+from tests.cli.test_missing_libraries import STUDY
+from tests.slow import mostly_slow
 from thorvaldc.diagnostics.installation import install_command
 
 ROOT = Path(__file__).parents[2]
@@ -86,14 +88,13 @@ def own_interfaces() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("own_interfaces")
-@pytest.mark.parametrize(("package", "arguments", "extra"), HINTS, ids=[h[0] for h in HINTS])
+@pytest.mark.parametrize("hint", mostly_slow(HINTS, 3), ids=[h[0] for h in HINTS])
 def test_a_missing_package_is_one_line_with_the_extra_that_installs_it(
     thorvaldc: Command,
     monkeypatch: pytest.MonkeyPatch,
-    package: str,
-    arguments: tuple[str, ...],
-    extra: str,
+    hint: tuple[str, tuple[str, ...], str],
 ) -> None:
+    package, arguments, extra = hint
     for name, module in list(sys.modules.items()):
         is_of_package = name.partition(".")[0] == package or name.startswith(INTERFACES)
         if is_of_package or (name.startswith("thorvaldc.") and holds(module, package)):
@@ -103,6 +104,7 @@ def test_a_missing_package_is_one_line_with_the_extra_that_installs_it(
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.setenv("PATH", "")  # no ffmpeg
     Path("o.mcap").write_bytes(b"\x89MCAP0\r\n")
+    Path("study.yaml").write_text(STUDY, encoding="utf-8")
     result = thorvaldc(*arguments)
     assert result.status in (1, 3)
     assert install_command(extra) in result.err

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -52,7 +51,7 @@ def run(
         env=environment,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
         check=False,
     )
 
@@ -97,9 +96,7 @@ def run_step(folder: Path, environment: dict[str, str], **inputs: str) -> Any:
     """Runs the last step as the runner of GitHub does."""
     script = folder.parent / "step.sh"
     script.write_text(ACTION["runs"]["steps"][-1]["run"])
-    bash = shutil.which("bash")
-    assert bash is not None
-    command = (bash, "--noprofile", "--norc", "-eo", "pipefail", str(script))
+    command = (path_of("bash"), "--noprofile", "--norc", "-eo", "pipefail", str(script))
     return run(folder, {**environment, **inputs}, *command)
 
 

@@ -188,18 +188,18 @@ def test_an_empty_bus(thorvaldc: Command) -> None:
 
 @pytest.mark.parametrize(
     "number",
-    [pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGINT],
+    [pytest.param(signal.SIGTERM, marks=pytest.mark.exhaustive), signal.SIGINT],
     ids=["SIGTERM", "SIGINT"],
 )
 def test_a_signal_stops_the_robot_and_disables_the_drives(number: int, tmp_path: Path) -> None:
-    (tmp_path / "good.yaml").write_text(GOOD)
+    (tmp_path / "good.yaml").write_text(GOOD + SLOW)
     process = started(tmp_path, "good.yaml", "--bus", "virtual", "--twist", "0.5,0,0")
     assert process.stderr is not None
     for line in process.stderr:
         if "active" in line:
             break
     process.send_signal(number)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=300)
     assert process.returncode == 0, err
     assert out.startswith(("stopping", "ready")), out
     assert "Traceback" not in err
@@ -227,7 +227,7 @@ def test_a_driver_and_a_caller_of_different_versions_both_say_so(
             " thorvaldc 9.9.9;"
         )
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=300)
     assert process.returncode == 0, err
     expected = f"is thorvaldc 9.9.9, this program is thorvaldc {__version__}; services and states"
     assert err.count("warning: connection ") == 1
@@ -269,12 +269,12 @@ def over_slcan(
 
     adapter.serve(over, 60.0)
     simulated.run(0.2)  # the next heartbeats contain the last state
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=300)
     adapter.close()
     return process.returncode, out, err, adapter, frames_seen, fastest
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive  # test_runtime_only.py has this drive too
 def test_over_a_bus_in_another_process(tmp_path: Path) -> None:
     (tmp_path / "good.yaml").write_text(GOOD + SLOW)
     with running(tmp_path, "good.yaml") as (bus, listing):
@@ -283,7 +283,7 @@ def test_over_a_bus_in_another_process(tmp_path: Path) -> None:
             *("good.yaml", "--bus", f"sim:{listing['channel']}", "--twist", "0.4,0,0"),
             *("--duration", "2 s", "--json"),
         )
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=300)
         assert process.returncode == 0, err
         summary = json.loads(out)
         assert summary["pose"]["x"] > 0.3
@@ -308,7 +308,7 @@ def test_a_late_process_of_the_bus_is_no_silent_node(tmp_path: Path) -> None:
             time.sleep(pause)
             bus.send_signal(signal.SIGCONT)
             time.sleep(0.5)
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=300)
         assert process.returncode == 3, err
         assert re.search(r"TV880.*the simulation of the bus `main` runs \d\d\d ms late", err), err
         end(bus)
@@ -328,7 +328,7 @@ def test_a_stopped_process_is_a_gap_in_time(tmp_path: Path) -> None:
         process.send_signal(signal.SIGSTOP)
         time.sleep(2.0)
         process.send_signal(signal.SIGCONT)
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=300)
         assert process.returncode == 3, err
         assert re.search(r"TV880.*no control cycle for 2\d\d\d ms", err), err
         end(bus)

@@ -11,13 +11,17 @@ import pytest
 
 from tests.child_process import ChildProcess
 from tests.cli.conftest import GOOD
+from tests.slow import mostly_slow
 
 COMMANDS = (
-    ("targets",),
     ("modules", "list"),
-    ("sim", "good.yaml", "--twist", "0.3,0,0", "--duration", "0.1"),
-    ("can", "plan", "good.yaml", "--bus", "virtual"),
     ("--version",),
+    ("sim", "good.yaml", "--twist", "0.3,0,0", "--duration", "0.1"),
+    ("targets",),
+    ("can", "plan", "good.yaml", "--bus", "virtual"),
+)
+each_command = pytest.mark.parametrize(
+    "arguments", mostly_slow(COMMANDS, quick=2, slow=1), ids=" ".join
 )
 needs_full_device = pytest.mark.skipif(
     not Path("/dev/full").exists(), reason="no /dev/full on this system"
@@ -34,7 +38,7 @@ def call(folder: Path, redirection: str, arguments: tuple[str, ...]) -> tuple[in
         stderr=subprocess.PIPE,
         text=True,
     )
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=300)
     return process.returncode, out, err
 
 
@@ -44,7 +48,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("arguments", COMMANDS, ids=" ".join)
+@each_command
 def test_closed_streams_change_no_status(folder: Path, arguments: tuple[str, ...]) -> None:
     status, out, err = call(folder, "", arguments)
     assert status == 0
@@ -56,7 +60,7 @@ def test_closed_streams_change_no_status(folder: Path, arguments: tuple[str, ...
 
 
 @needs_full_device
-@pytest.mark.parametrize("arguments", COMMANDS, ids=" ".join)
+@each_command
 def test_a_full_disk_behind_stdout_is_named(folder: Path, arguments: tuple[str, ...]) -> None:
     status, _, err = call(folder, ">/dev/full", arguments)
     assert status == 3
@@ -72,7 +76,7 @@ def test_messages_that_cannot_be_written_end_no_command(folder: Path) -> None:
     assert out
 
 
-@pytest.mark.parametrize("arguments", COMMANDS, ids=" ".join)
+@each_command
 def test_a_reader_that_has_ended(folder: Path, arguments: tuple[str, ...]) -> None:
     read, write = os.pipe()
     os.close(read)
@@ -84,7 +88,7 @@ def test_a_reader_that_has_ended(folder: Path, arguments: tuple[str, ...]) -> No
         text=True,
     )
     os.close(write)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=300)
     assert process.returncode == 141
     assert "rror" not in err
 
@@ -104,7 +108,7 @@ def test_a_file_does_not_get_the_descriptor_of_a_closed_stream(folder: Path) -> 
     process = ChildProcess(
         ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", sys.executable, "-c", script], cwd=folder
     )
-    assert process.wait(timeout=30) == 0
+    assert process.wait(timeout=300) == 0
     assert (folder / "file").read_text() == "content"
 
 
@@ -127,7 +131,7 @@ def test_messages_are_written_at_once(unbuffered: str) -> None:
         env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
         text=True,
     )
-    out, _ = process.communicate(timeout=30)
+    out, _ = process.communicate(timeout=300)
     first, last = ("one ", "") if unbuffered else ("", "one ")
     assert out == f"{first}message\nwritten later\n{last}"
 
@@ -142,5 +146,5 @@ def test_a_connection_that_breaks_is_no_reader_that_has_ended(folder: Path) -> N
         "from thorvaldc.cli.main import run; run()\n"
     )
     process = ChildProcess([sys.executable, "-c", script], stderr=subprocess.PIPE, text=True)
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=300)
     assert (process.returncode, err) == (3, "error: control channel: Broken pipe\n")

@@ -8,7 +8,7 @@ from tests.commissioning.bench import NODES, QUICK, SWAPPED, Bench, four_drives
 from tests.commissioning.robots import without_serials
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
 from tests.simulation.bus.robots import cia402_robot
-from tests.slow import mostly_slow
+from tests.slow import mostly_exhaustive
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.verify import verify
 from thorvaldc.diagnostics import DiagnosticError
@@ -83,7 +83,7 @@ def test_flash_verify_and_rollback(quirks: tuple[Quirk, ...], unknown: tuple[str
 
 
 @pytest.mark.parametrize(
-    "quirks", mostly_slow([ALL, (Quirk.NO_INHIBIT_TIMES,)]), ids=["all", "no_inhibit"]
+    "quirks", mostly_exhaustive([ALL, (Quirk.NO_INHIBIT_TIMES,)]), ids=["all", "no_inhibit"]
 )
 def test_flash_of_all_values_and_drive(quirks: tuple[Quirk, ...]) -> None:
     """The devices keep the values that the flash stored, and then drive."""

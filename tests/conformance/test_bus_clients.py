@@ -12,7 +12,7 @@ import cantools
 import pytest
 
 from tests.backend_files import dbc_of, files_of
-from tests.examples import ROBOTS, example_robot
+from tests.examples import SAMPLED_ROBOTS, example_robot
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import cia402_robot, uneven_robot
 from thorvaldc.backends.can import Can
@@ -24,7 +24,7 @@ from thorvaldc.simulation.bus import python_can_plugin as interface
 from thorvaldc.simulation.bus.bus_server import serving
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
-NAMES = [*ROBOTS, "cia402"]
+NAMES = [*SAMPLED_ROBOTS, "cia402"]
 
 
 @pytest.fixture(scope="module", params=NAMES)
@@ -82,7 +82,7 @@ def test_canopen_reads_the_values_of_the_dcfs_from_running_nodes(
         network.connect(interface="thorvaldc_sim", channel=channel)
         for node in (listed[0], listed[-1]):
             remote = network.add_node(node.id, dictionary(files, node, tmp_path))
-            remote.sdo.RESPONSE_TIMEOUT = 2.0
+            remote.sdo.RESPONSE_TIMEOUT = 60.0
             for entry in node.objects:
                 if entry.value is None:
                     continue

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.examples import FLEETS, FOLDER, ROBOTS, example_robot
+from tests.examples import FLEETS, FOLDER, ROBOTS, SAMPLED_ROBOTS, example_robot, sampled
 from thorvaldc.backends import DEFAULT_TARGETS
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
@@ -60,7 +60,7 @@ def test_all_robots_of_the_paper_are_examples() -> None:
         assert (sum(w.driven for w in wheels), sum(w.steered for w in wheels)) == (driven, steered)
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_every_wheel_is_on_the_ground_and_carries_load(name: str) -> None:
     robot = example_robot(name)
     assert all(abs(w.contact_height) < 1e-9 for w in robot.wheels)
@@ -108,12 +108,15 @@ class Scene:
         return ancestor == body
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_nothing_floats(name: str, tmp_path: Path) -> None:
     assert floating(example_robot(name), tmp_path) == []
 
 
-@pytest.mark.parametrize("preset", sorted(p.stem for p in (ROOT / "templates/robot").iterdir()))
+PRESETS = sorted(p.stem for p in (ROOT / "templates/robot").iterdir())
+
+
+@pytest.mark.parametrize("preset", sampled(PRESETS, PRESETS[:2]))
 def test_nothing_floats_in_robots_of_the_command_new(preset: str, tmp_path: Path) -> None:
     text = (ROOT / f"templates/robot/{preset}.yaml").read_text().replace("@NAME@", "mine")
     assert floating(compiled(text, tmp_path), tmp_path) == []
@@ -145,7 +148,7 @@ def floating(robot: Robot, folder: Path) -> list[str]:
     return sorted({scene.name(g) for g in scene.visuals if g not in reached})
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_legs_turn_freely(name: str, tmp_path: Path) -> None:
     """Over the whole steering range no part of the leg touches the rest of the robot."""
     scene = Scene(example_robot(name), tmp_path)
@@ -172,7 +175,7 @@ def test_legs_turn_freely(name: str, tmp_path: Path) -> None:
             assert contacts == [], f"at {np.degrees(angle):.0f} deg"
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_tyres_touch_nothing(name: str, tmp_path: Path) -> None:
     """A tyre touches neither its leg or fork nor another part of the robot."""
     scene = Scene(example_robot(name), tmp_path)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from tests.conformance.wheels import wheel
-from tests.slow import mostly_slow
+from tests.slow import mostly_exhaustive
 from thorvaldc.runtime.base_interface import JointStates, NotFiniteError
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
@@ -38,7 +38,7 @@ def value(chance: random.Random, largest: float) -> float:
     return chance.choice([1.0, -1.0]) * 10.0 ** chance.uniform(-320.0, largest)
 
 
-@pytest.mark.parametrize("part", mostly_slow(range(3)))
+@pytest.mark.parametrize("part", mostly_exhaustive(range(3)))
 @pytest.mark.parametrize("largest", [308.0, 8.9, 3.0])
 @pytest.mark.parametrize("name", ROBOTS)
 def test_results_are_finite_or_refused(name: str, largest: float, part: int) -> None:

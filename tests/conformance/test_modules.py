@@ -173,7 +173,7 @@ def test_mesh_is_closed(path: str) -> None:
 
 def test_meshes_are_up_to_date() -> None:
     command = [sys.executable, str(ROOT / "workshop" / "make_meshes.py"), "--check"]
-    process = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    process = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert (process.returncode, process.stdout, process.stderr) == (0, "", "")
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
+from tests.examples import FLEETS, SAMPLED_ROBOTS, example_fleet, example_robot
 from thorvaldc import backends
 from thorvaldc.backends.ros2 import package_of
 from thorvaldc.compiler.pipeline import compile_file, emit
@@ -35,7 +35,7 @@ def output(model: Robot | Fleet) -> list[tuple[str, bytes]]:
     return [(path, data) for path, data in files.items() if not path.endswith(MESHES)]
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_examples(name: str) -> None:
     robot = example_robot(name)
     assert placeholders(output(robot)) == []

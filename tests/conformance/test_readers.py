@@ -22,9 +22,8 @@ from tests.backend_files import files_of
 from tests.backends.conftest import write
 from tests.backends.plans import grafted
 from tests.conformance.reader_table import COLUMNS, MJCF, PAGE, READERS, URDF, Reader, with_table
-from tests.examples import ROBOTS as EXAMPLES
-from tests.examples import example_robot
-from tests.outside_tools import without
+from tests.examples import SAMPLED_ROBOTS, example_robot
+from tests.outside_tools import path_in_environment, path_of_drake_python, path_of_warp_python
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.model import Robot
@@ -32,14 +31,14 @@ from thorvaldc.model import Robot
 # In one process: Warp compiles its kernels once, for more than a minute.
 pytestmark = pytest.mark.xdist_group("readers")
 PROGRAMS = Path(__file__).with_name("readers")
-SEEDS = 20
+SEEDS = 4
 STATES = 3
 DRIVEN = "4wd4ws_wide"
 
 
 @cache
 def robots() -> dict[str, Robot]:
-    return {name: example_robot(name) for name in EXAMPLES} | {
+    return {name: example_robot(name) for name in SAMPLED_ROBOTS} | {
         f"random {seed}": grafted(seed) for seed in range(SEEDS)
     }
 
@@ -73,8 +72,9 @@ def states(robot: Robot) -> list[dict[str, float]]:
 
 def read(reader: Reader, folder: Path) -> dict[str, Any]:
     """The results of a reader by robot."""
-    if not reader.python.exists():
-        without(f"{reader.name} is not installed (.ci/run shows how)")
+    python = path_in_environment(
+        reader.python, f"{reader.name} is not installed (.ci/run shows how)"
+    )
     jobs = []
     for name, robot in robots().items():
         path = folder / name / reader.file
@@ -82,7 +82,7 @@ def read(reader: Reader, folder: Path) -> dict[str, Any]:
             path = with_obj_meshes(path)
         at = states(robot)[: 1 if reader.program == "usd_reader.py" else None]
         jobs.append({"path": str(path), "states": at})
-    return dict(zip(robots(), run(reader.python, reader.program, jobs), strict=True))
+    return dict(zip(robots(), run(python, reader.program, jobs), strict=True))
 
 
 def with_obj_meshes(path: Path) -> Path:
@@ -187,10 +187,10 @@ def test_reader(reader: Reader, folder: Path, expected: dict[str, Any]) -> None:
 def test_drake_refuses_stl_meshes(folder: Path) -> None:
     """The reason why Drake reads a copy with OBJ files."""
     (reader,) = (reader for reader in READERS if reader.program == "drake_mjcf_reader.py")
-    if not reader.python.exists():
-        without("Drake is not installed (.ci/run shows how)")
     (result,) = run(
-        reader.python, reader.program, [{"path": str(folder / DRIVEN / MJCF), "states": [{}]}]
+        path_of_drake_python(),
+        reader.program,
+        [{"path": str(folder / DRIVEN / MJCF), "states": [{}]}],
     )
     assert ".obj format" in result["error"]
 
@@ -199,8 +199,7 @@ def test_drake_refuses_stl_meshes(folder: Path) -> None:
 def test_warp_drives_as_mujoco(folder: Path) -> None:
     """1 s straight, and 1 s on the spot with steered wheels."""
     (reader,) = (reader for reader in READERS if reader.program == "warp_reader.py")
-    if not reader.python.exists():
-        without("MuJoCo Warp is not installed (.ci/run shows how)")
+    python = path_of_warp_python()
     robot = robots()[DRIVEN]
     straight, turn = {}, {}
     for wheel in robot.wheels:
@@ -218,7 +217,7 @@ def test_warp_drives_as_mujoco(folder: Path) -> None:
         turn[drive] = -2.0 if back else 2.0
     path = str(folder / DRIVEN / "mjcf/scene.xml")
     (result,) = run(
-        reader.python, reader.program, [{"path": path, "states": [], "drives": [straight, turn]}]
+        python, reader.program, [{"path": path, "states": [], "drives": [straight, turn]}]
     )
     for name, (there, here) in zip(("straight", "turn"), result["driven"], strict=True):
         assert there[:3] == pytest.approx(here[:3], abs=1e-4), name

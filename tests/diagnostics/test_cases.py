@@ -54,7 +54,7 @@ KEYS = {
     *("bus", "devices", "options", "situation", "git", "path", "built"),
 }
 NEIGHBOUR = "neighbour_"
-
+xdist_group = pytest.mark.xdist_group
 
 Runner = Callable[[dict[str, Any], str], Iterable[Diagnostic]]
 TOOL_COMMANDS: dict[str, Runner] = {}
@@ -84,11 +84,14 @@ def can_run(case: dict[str, Any]) -> bool:
 
 
 def cases(left_out: Collection[str] = ()) -> Any:
-    """Runs a test with each case whose command is none of ``left_out``."""
+    """Runs a test with each case whose command is none of ``left_out``.
+
+    The cases of one file run in one process, see ``diagnostics_of``.
+    """
     return pytest.mark.parametrize(
         "case",
         [
-            pytest.param(case, id=f"{path.stem}[{number}]")
+            pytest.param(case, id=f"{path.stem}[{number}]", marks=xdist_group(path.stem))
             for path in case_files()
             for number, case in enumerate(read_cases(path))
             if case.get("run", "compile") not in left_out and can_run(case)
@@ -96,13 +99,37 @@ def cases(left_out: Collection[str] = ()) -> Any:
     )
 
 
+def bytes_of(content: Any) -> bytes:
+    """Returns the bytes of a file of a case."""
+    if isinstance(content, dict):
+        content = content["repeat"] * content["times"]
+    return content if isinstance(content, bytes) else content.encode()
+
+
 def write(files: dict[str, Any], folder: Path) -> None:
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        if isinstance(content, dict):
-            content = content["repeat"] * content["times"]
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        path.write_bytes(bytes_of(content))
+
+
+_known_diagnostics: dict[str, list[Diagnostic]] = {}
+
+
+def diagnostics_of(files: dict[str, Any], case: dict[str, Any]) -> list[Diagnostic]:
+    """Returns the diagnostics of the command of a case on ``files`` in a folder of their own.
+
+    Equal commands on equal files run once in a process: many cases have the same neighbour, and
+    the fix of a hint often makes the neighbour.
+    """
+    described = ("code", "line", "file", "files", "neighbour")
+    command = {k: v for k, v in case.items() if k not in described and NEIGHBOUR not in k}
+    key = repr((sorted(files.items()), sorted(command.items())))
+    if key not in _known_diagnostics:
+        with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+            write(files, Path())
+            _known_diagnostics[key] = run_case(case, case.get("entry", "robot.yaml"))
+    return _known_diagnostics[key]
 
 
 def check_build(compilation: Any, case: dict[str, Any]) -> None:
@@ -257,12 +284,9 @@ def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> Non
 
 
 @cases()
-def test_case(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_case(case: dict[str, Any]) -> None:
     assert {key.removeprefix(NEIGHBOUR) for key in case} <= KEYS, "unknown key in a case"
-    entry = case.get("entry", "robot.yaml")
-    write(case["files"], tmp_path)
-    monkeypatch.chdir(tmp_path)
-    diagnostics = run_case(case, entry)
+    diagnostics = diagnostics_of(case["files"], case)
     shown = [(d.code.name, str(d.span), d.message) for d in diagnostics]
     expected = [d for d in diagnostics if d.code.name == case["code"]]
     assert expected, f"not raised; instead: {shown}"
@@ -273,16 +297,14 @@ def test_case(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 @cases()
-def test_neighbour(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write(case["neighbour"], tmp_path)
-    monkeypatch.chdir(tmp_path)
+def test_neighbour(case: dict[str, Any]) -> None:
     case = {
         **case,
         **{k.removeprefix(NEIGHBOUR): v for k, v in case.items() if k.startswith(NEIGHBOUR)},
     }
     unexpected = [
         (d.code.name, str(d.span), d.message)
-        for d in run_case(case, case.get("entry", "robot.yaml"))
+        for d in diagnostics_of(case["neighbour"], case)
         if d.code.name == case["code"] or d.code.severity == "error"
     ]
     assert not unexpected
@@ -325,11 +347,8 @@ modules:
 """
 
 
-def test_the_example_of_a_page_raises_its_code(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_example_of_a_page_raises_its_code() -> None:
     """An example has its lines from a case, or its sections raise the code in a good file."""
-    monkeypatch.chdir(tmp_path)
     silent, tried = set[str](), set[str]()
     for code in CODES.values():
         page = (PAGES / f"{code.number}.md").read_text(encoding="utf-8")
@@ -355,12 +374,10 @@ def raises(name: str, example: str, case: dict[str, Any]) -> bool:
         if not isinstance(text, str) or not file.endswith((".yaml", ".yml")):
             continue
         for changed in with_example(text, example):
-            with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-                write({**case["neighbour"], file: changed}, Path())
-                with contextlib.suppress(Exception):  # a file that the command does not expect
-                    diagnostics = run_case(case, case.get("entry", "robot.yaml"))
-                    if name in {diagnostic.code.name for diagnostic in diagnostics}:
-                        return True
+            with contextlib.suppress(Exception):  # a file that the command does not expect
+                diagnostics = diagnostics_of({**case["neighbour"], file: changed}, case)
+                if name in {diagnostic.code.name for diagnostic in diagnostics}:
+                    return True
     return False
 
 

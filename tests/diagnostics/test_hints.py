@@ -10,9 +10,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-from tests.diagnostics.test_cases import cases, run_case, write
+from tests.diagnostics.test_cases import bytes_of, cases, diagnostics_of, write
 from thorvaldc.diagnostics import Diagnostic, Fix, Severity
 
 # Commands that need seconds.  Their diagnostics are about runs, and propose no change of a file.
@@ -45,10 +43,9 @@ ADVICE = {
 COMPUTED = {"start-in-obstacle"}
 
 
-def replaced(fix: Fix) -> str:
-    """Returns the text at the source span of a fix in the working folder."""
-    path = Path(fix.span.file)
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+def replaced(fix: Fix, files: dict[str, Any]) -> str:
+    """Returns the text at the source span of a fix."""
+    lines = bytes_of(files[fix.span.file]).decode().splitlines(keepends=True)
     lines = lines[fix.span.line - 1 : fix.span.end_line]
     if not lines:
         return ""
@@ -61,10 +58,9 @@ def numbers(text: str) -> set[str]:
     return set(re.findall(r"\d+", text))
 
 
-def apply(fix: Fix) -> None:
-    """Replaces the text at the source span of a fix in the working folder."""
-    path = Path(fix.span.file)
-    lines = [*path.read_bytes().decode("utf-8").splitlines(keepends=True), ""]
+def with_fix(files: dict[str, Any], fix: Fix) -> dict[str, Any]:
+    """Returns the files after a fix."""
+    lines = [*bytes_of(files[fix.span.file]).decode().splitlines(keepends=True), ""]
 
     def offset(line: int, column: int) -> int:
         return sum(map(len, lines[: line - 1])) + column - 1
@@ -72,7 +68,13 @@ def apply(fix: Fix) -> None:
     text = "".join(lines)
     start = offset(fix.span.line, fix.span.column)
     end = offset(fix.span.end_line, fix.span.end_column)
-    path.write_bytes((text[:start] + fix.text + text[end:]).encode())
+    return {**files, fix.span.file: text[:start] + fix.text + text[end:]}
+
+
+def apply(fix: Fix) -> None:
+    """Applies a fix to the file in the working folder."""
+    name = fix.span.file
+    write(with_fix({name: Path(name).read_bytes()}, fix), Path())
 
 
 def shown(diagnostic: Diagnostic) -> tuple[str, str]:
@@ -80,20 +82,16 @@ def shown(diagnostic: Diagnostic) -> tuple[str, str]:
 
 
 @cases(left_out=SLOW)
-def test_fixes(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fixes(case: dict[str, Any]) -> None:
     """A concrete hint has fixes, which remove the diagnostic and cause no new error."""
-    entry = case.get("entry", "robot.yaml")
-    write(case["files"], tmp_path)
-    monkeypatch.chdir(tmp_path)
-    before = run_case(case, entry)
+    files = case["files"]
+    before = diagnostics_of(files, case)
     known = {shown(d) for d in before}
     for diagnostic in before:
-        check_the_hint(diagnostic)
+        check_the_hint(diagnostic, files)
         clean = []
         for fix in diagnostic.fixes:
-            apply(fix)
-            after = run_case(case, entry)
-            write(case["files"], tmp_path)
+            after = diagnostics_of(with_fix(files, fix), case)
             left = [d for d in after if shown(d) == shown(diagnostic)]
             assert not left, f"{diagnostic.hint} does not remove: {diagnostic.message}"
             new = [d for d in after if d.severity is Severity.ERROR and shown(d) not in known]
@@ -106,14 +104,14 @@ def test_fixes(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyP
         assert not clean or [] in clean, f"{diagnostic.hint}: {list(map(shown, clean[0]))}"
 
 
-def check_the_hint(diagnostic: Diagnostic) -> None:
+def check_the_hint(diagnostic: Diagnostic, files: dict[str, Any]) -> None:
     """An example replaces no number of the user, and a concrete hint has fixes."""
     for fix in diagnostic.fixes:
         if fix.is_example and diagnostic.code.name not in COMPUTED:
-            lost = numbers(replaced(fix)) - numbers(fix.text)
+            lost = numbers(replaced(fix, files)) - numbers(fix.text)
             assert not lost, f"{diagnostic.code.name}: {diagnostic.hint}"
     hint, span = diagnostic.hint or "", diagnostic.span
-    if "as in `" in hint and span is not None and numbers(replaced(Fix(span, ""))):
+    if "as in `" in hint and span is not None and numbers(replaced(Fix(span, ""), files)):
         return  # an example would replace a number of the user
     if CONCRETE.search(hint) and diagnostic.code.name not in ADVICE:
         assert diagnostic.fixes, f"{diagnostic.code.name}: {diagnostic.hint}"

@@ -165,7 +165,7 @@ def test_the_search_finds_a_page(address: str, site: Path, browser: Any, opened_
     page = browser.new_page(viewport={"width": 1280, "height": 900})
     page.goto(f"{address}/index.html" if opened_as == "http" else (site / "index.html").as_uri())
     page.fill("input[name=query]", "least squares")
-    page.wait_for_selector(".md-search-result__item", timeout=10_000)
+    page.wait_for_selector(".md-search-result__item", timeout=300_000)
     found = page.inner_text(".md-search-result__list")
     page.close()
     assert "Least squares" in found

@@ -299,7 +299,7 @@ class Reader:
         with self.terminals.pop(name) as process:
             process.send_signal(signal.SIGINT)
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(timeout=20)
+                process.wait(timeout=300)
             status = process.poll()
             process.end()
         log = (self.folder / f".{name}").read_text(encoding="utf-8")

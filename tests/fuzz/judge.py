@@ -36,7 +36,7 @@ USUAL_MEMORY = 150_000_000
 """Memory of ``python -m tests.fuzz`` before a case (bytes); a process of pytest may have more."""
 MAX_CPU = 20
 """Limit of the processor time of a command (s)."""
-MAX_WALL = 120.0
+MAX_WALL = 300.0
 """A command that waits, and needs no processor, is ended after this time (s)."""
 MAX_TEXT = 200_000
 """Limit of the output for people; JSON has all diagnostics."""

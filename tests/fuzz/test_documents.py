@@ -22,6 +22,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.slow import mostly_slow
 from thorvaldc.backends import DEFAULT_TARGETS
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics.renderers import FORMATS, render
@@ -121,7 +122,7 @@ def examples(count: float) -> Callable[[Any], Any]:
     )
 
 
-SHARES = pytest.mark.parametrize("share", [0.06, pytest.param(1.0, marks=pytest.mark.slow)])
+SHARES = pytest.mark.parametrize("share", mostly_slow([0.03, 0.2, 1.0], slow=1))
 
 
 # -- text -----------------------------------------------------------------------------

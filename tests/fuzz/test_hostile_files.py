@@ -13,8 +13,8 @@ from thorvaldc.cli.command import all_commands
 from thorvaldc.schema import KINDS
 
 pytestmark = pytest.mark.xdist_group("fuzz")  # every process would make the valid files again
-SAMPLE = 100  # some 20 s of CPU
-BATCH = 25
+SAMPLE = 100
+BATCH = 10
 # These commands read no file, read what another command of the list reads in the same way, or need
 # a terminal, a driver or a bus of another process.
 NOT_RUN = {
@@ -42,7 +42,7 @@ def test_cases_are_repeatable() -> None:
         assert case_of(seed) == case_of(seed)
 
 
-@pytest.mark.parametrize("first", mostly_slow(range(0, SAMPLE, BATCH)))
+@pytest.mark.parametrize("first", mostly_slow(range(0, SAMPLE, BATCH), slow=2))
 def test_hostile_files(first: int, tmp_path: Path) -> None:
     prepare()
     for seed in range(first, first + BATCH):

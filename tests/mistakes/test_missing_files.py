@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.diagnostics.test_hints import apply
-from tests.mistakes.test_mistakes import FILES, write
+from tests.mistakes.test_mistakes import FILES, with_mistake, write
 from thorvaldc.compiler.pipeline import compile_file
 
 PATHS = [
@@ -44,7 +44,7 @@ def test_the_meant_file_is_proposed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     assert right in FILES[file]
-    write(tmp_path, {file: FILES[file].replace(right, wrong, 1)})
+    write(tmp_path, with_mistake(file, right, wrong, has_mast=False))
     write(tmp_path / "parts/tools/box", {"meshes/body.obj": BODY})
     monkeypatch.chdir(tmp_path)
     checked = file if "/" not in file else "robot.yaml"

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
+from tests.examples import FLEETS, SAMPLED_ROBOTS, example_fleet, example_robot
 from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import (
@@ -154,7 +154,7 @@ def everything() -> Robot:
     )
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_examples_read_back_equal(name: str) -> None:
     robot = example_robot(name)
     text = to_json(robot)

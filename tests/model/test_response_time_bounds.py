@@ -8,11 +8,12 @@ from __future__ import annotations
 import pytest
 
 from bench.bus_traffic import random_bus, reached, worst_payload
+from tests.slow import mostly_slow
 from thorvaldc.can.frame_bits import frame_bits
 from thorvaldc.model.bus_timing import worst_case_bits as worst_bits
 
 
-@pytest.mark.parametrize("number", range(8))
+@pytest.mark.parametrize("number", mostly_slow(range(8), 2, slow=2))
 def test_bounds_hold_on_the_simulated_bus_and_are_reached(number: int) -> None:
     found = reached(random_bus(number), 10)
     assert len(found.of_sent) > len(found.bus.frames) * 0.8, "nearly all have been sent"

@@ -63,7 +63,7 @@ def call(runtime: Path, folder: Path, *arguments: str) -> subprocess.CompletedPr
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=300,
     )
 
 
@@ -167,7 +167,7 @@ def test_run_drives_over_python_can(runtime: Path, build: Path) -> None:
         text=True,
     )
     adapter.serve(lambda: process.poll() is not None, 60.0)
-    out, err = process.communicate(timeout=10)
+    out, err = process.communicate(timeout=300)
     adapter.close()
     assert process.returncode == 0, err
     assert json.loads(out)["pose"]["x"] > 0.2

@@ -6,7 +6,6 @@ import base64
 import importlib.util
 import io
 import json
-import time
 import zipfile
 from pathlib import Path
 from types import ModuleType
@@ -15,6 +14,7 @@ from typing import Any
 import pytest
 
 from thorvaldc.compiler.pipeline import compile_file, emit, load
+from thorvaldc.tools.preview import page_drive
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "examples/4wd4ws_wide/robot.yaml").read_text(encoding="utf-8")
@@ -163,35 +163,53 @@ def test_the_built_files_are_those_of_a_build(page: Page) -> None:
     assert base64.b64decode(page.ask("file", "file", path=mesh)["base64"]) == built[mesh]
 
 
-def advance(page: Page, seconds: float) -> None:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        assert page.playground.advance()
-        time.sleep(0.005)
+class Clock:
+    """The time of a page, which advances only with its drive."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def advance(self, page: Page, seconds: float) -> None:
+        end = self.now + seconds
+        while self.now < end:
+            self.now += 0.01
+            assert page.playground.advance()
 
 
-def test_a_drive_goes_on_while_another_part_is_edited(page: Page) -> None:
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(page_drive, "time", clock)
+    return clock
+
+
+def test_a_drive_goes_on_while_another_part_is_edited(page: Page, clock: Clock) -> None:
     page.send("drive", on=True, robot="thorvald_4wd4ws_wide")
     assert page.answers["drive"] == [{"kind": "drive", "on": True, "message": "ready"}]
-    advance(page, 0.3)
+    clock.advance(page, 0.3)
     assert abs(page.answers["state"][-1]["odometry"]["x"]) < 1e-6  # it does not move unasked
     for number in range(8):
         page.send("motion", x=1.0, y=0.0, yaw=0.0)
         page.send("edit", files={"robot.yaml": f"# {number}\n{TEXT}"})
-        advance(page, 0.1)
+        clock.advance(page, 0.2)
     driven = page.answers["state"][-1]["odometry"]["x"]
     assert driven > 0.1
     assert len(page.answers["drive"]) == 1
     page.send("edit", files={"robot.yaml": TEXT.replace("1.60 m", "1.50 m")})
     assert [message["on"] for message in page.answers["drive"]] == [True, False, True]
-    advance(page, 0.2)  # the motion of the old robot does not drive the new one
+    clock.advance(page, 0.2)  # the motion of the old robot does not drive the new one
     assert abs(page.answers["state"][-1]["odometry"]["x"]) < 1e-6
     page.send("drive", on=False)
     assert not page.playground.advance()
     assert page.answers["drive"][-1]["on"] is False
 
 
-def test_a_fleet_drives_and_a_wrong_name_drives_its_first_robot(tmp_path: Path) -> None:
+def test_a_fleet_drives_and_a_wrong_name_drives_its_first_robot(
+    tmp_path: Path, clock: Clock
+) -> None:
     page = Page(tmp_path / "robot")
     fleet = ROOT / "examples/fleet_of_four/fleet.yaml"
     sources = {path.resolve() for path in compile_file(fleet).sources.values()}
@@ -210,6 +228,6 @@ def test_a_fleet_drives_and_a_wrong_name_drives_its_first_robot(tmp_path: Path) 
         files[f"4wd2ws_tall/meshes/{mesh.name}"] = [data]  # type: ignore[assignment]
     assert page.open(files, "fleet_of_four/fleet.yaml")["good"]
     page.send("drive", on=True, robot="nobody")
-    advance(page, 0.1)
+    clock.advance(page, 0.1)
     assert page.answers["state"][-1]["robot"] == "tall"
     page.send("drive", on=False)

@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
-TIMEOUT = 20.0
+TIMEOUT = 120.0
 VOID = "send them again"
 """Part of the answer to a request that waited during a gap in time."""
 

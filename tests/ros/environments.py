@@ -27,18 +27,19 @@ def python_of(distro: str) -> str:
     """
     import pytest
 
-    from tests.outside_tools import without
+    from tests.outside_tools import path_in_environment
 
-    python = ENVIRONMENTS / distro / "bin" / "python"
-    if not python.exists():
-        if not fits():
-            pytest.skip("the wheels of ROS 2 exist for Linux on x86_64 only")
-        without(f"there is no .venv-ros/{distro} (python3 tests/ros/environments.py makes it)")
-    return str(python)
+    if not fits():
+        pytest.skip("the wheels of ROS 2 exist for Linux on x86_64 only")
+    return path_in_environment(
+        ENVIRONMENTS / distro / "bin" / "python",
+        f"there is no .venv-ros/{distro} (python3 tests/ros/environments.py makes it)",
+    )
 
 
-def each_distro() -> Any:
-    """Runs a test with each distribution; only the first one is in the quick group.
+def each_distro(*, both: bool = False) -> Any:
+    """Runs a test with each distribution; only the first one is in the quick group, and the second
+    one in that of CI if ``both`` is true.
 
     The tests of a distribution run in one process: they wait more than they compute, and two
     processes at a time do not delay each other.
@@ -48,7 +49,8 @@ def each_distro() -> Any:
     cases = []
     for distro in DISTROS:
         marks = [pytest.mark.xdist_group(f"ros-{distro}")]
-        marks += [pytest.mark.slow] if distro != DISTROS[0] else []
+        if distro != DISTROS[0]:
+            marks.append(pytest.mark.slow if both else pytest.mark.exhaustive)
         cases.append(pytest.param(distro, marks=marks))
     return pytest.mark.parametrize("distro", cases)
 

@@ -75,7 +75,7 @@ def run_client(distro: str, program: str, folder: Path, *arguments: object) -> s
 def end(process: ChildProcess) -> str:
     """Ends a node by SIGTERM and returns what it has written."""
     process.send_signal(signal.SIGTERM)
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=300)
     assert process.returncode == 0, err
     assert "Traceback" not in err
     return str(err)
@@ -135,7 +135,7 @@ def test_end_signals_stop_the_robot_in_order(
             options = {"base": base, "bus": "sim:end", "stamped": False}
             with node(distro, build, tmp_path, **options) as process:
                 run_client(distro, "drive_to_the_end", tmp_path, process.pid, int(number), pause)
-                _, err = process.communicate(timeout=30)
+                _, err = process.communicate(timeout=300)
             assert process.returncode == 0, (number, err)
             assert "Traceback" not in err
 
@@ -272,7 +272,7 @@ def test_wrong_parameters_are_one_line(
     distro: str, build: Path, tmp_path: Path, parameters: dict[str, Any], message: str
 ) -> None:
     with node(distro, build, tmp_path, **{"base": "ideal", **parameters}) as process:
-        _, err = process.communicate(timeout=30)
+        _, err = process.communicate(timeout=300)
     assert process.returncode == 1
     assert message in err
     assert "Traceback" not in err

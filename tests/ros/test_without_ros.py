@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tests.examples import ROBOTS, example_robot
+from tests.examples import SAMPLED_ROBOTS, example_robot
 from tests.simulation.bus.robots import drives
 from thorvaldc.ros.parameters import PARAMETERS
 from thorvaldc.ros.topic_twists import ClockWatch, TwistInputs
@@ -31,7 +31,7 @@ FUTURE = "the stamp of the twist is 0.200 s in the future; max_command_lead is 0
 
 def test_defaults_are_in_their_ranges_for_every_example() -> None:
     assert len({p.name for p in PARAMETERS}) == len(PARAMETERS)
-    for name in ROBOTS:
+    for name in SAMPLED_ROBOTS:
         robot = example_robot(name)
         for parameter in PARAMETERS:
             default = parameter.default_for(robot)
@@ -41,7 +41,7 @@ def test_defaults_are_in_their_ranges_for_every_example() -> None:
                 assert lowest <= default <= highest, parameter.name
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_no_limit_can_be_set_outside_of_its_range(name: str) -> None:
     """The range is that of the robot file; the rule is that of the driver, whoever asks."""
     robot = example_robot(name)

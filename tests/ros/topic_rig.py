@@ -25,7 +25,7 @@ from thorvaldc.ros.lifecycle_node import BaseDriverNode
 from thorvaldc.ros.node_parameters import load_robot_model
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 
-TIMEOUT = 20.0  # s, real time
+TIMEOUT = 120.0  # s, real time
 SOURCE = "auto_nav"
 
 

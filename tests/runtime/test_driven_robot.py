@@ -13,6 +13,7 @@ from tests.model.stops import stop_bound
 from tests.robots import FOUR_STEERED, make_robot
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
 from tests.simulation.bus.robots import ROBOTS
+from tests.slow import mostly_exhaustive
 from thorvaldc.model import Robot
 from thorvaldc.model.stopping import COMMAND_TIMEOUT
 from thorvaldc.runtime.base_interface import RequestRefused
@@ -22,7 +23,7 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.physics.sim_base import SimBase
 
 ROBOT = make_robot(FOUR_STEERED)
-both = pytest.mark.parametrize("kind", ROBOTS)
+both = pytest.mark.parametrize("kind", mostly_exhaustive(ROBOTS))
 
 
 def with_driver(robot: Robot, **changes: Any) -> Robot:

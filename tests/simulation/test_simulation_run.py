@@ -20,9 +20,9 @@ from thorvaldc.simulation.control_loop import (
     Segment,
     default_manoeuvre,
     fleet_manoeuvres,
-    result_table,
     twist_at,
 )
+from thorvaldc.simulation.simulation_result import result_table
 from thorvaldc.simulation.simulation_run import Simulation, drive_build
 
 pytest.importorskip("mujoco")

@@ -159,7 +159,7 @@ def browse(tmp_path: Path) -> Callable[..., tuple[str, Path]]:
                 f"{path.as_uri()}#{shown}",
             ],
             capture_output=True,
-            timeout=120,
+            timeout=300,
             cwd=tmp_path,
         )
         return process.stdout.decode(), tmp_path / "view.png"

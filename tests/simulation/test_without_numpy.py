@@ -73,7 +73,7 @@ def test_all_products_are_the_same_without_numpy(tmp_path: Path) -> None:
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
     )
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout) == {name: products(name) for name in files}

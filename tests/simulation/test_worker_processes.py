@@ -48,7 +48,7 @@ def end_the_parent(tmp_path: Path, program: str, number: signal.Signals) -> None
     assert process.stdout is not None
     assert [process.stdout.readline() for _ in range(2)] == ["working\n"] * 2
     process.send_signal(number)
-    rest, _ = process.communicate(timeout=60)  # waits until no process holds the pipe
+    rest, _ = process.communicate(timeout=300)  # waits until no process holds the pipe
     assert (rest, process.returncode) == ("", -number)
 
 

@@ -157,9 +157,8 @@ def picture_errors() -> Iterator[None]:
 class RunPictures:
     """The plot and the video of a run. An empty path means that no plot or no video is drawn.
 
-    The constructor must be called before the import of MuJoCo, because it selects the OpenGL
-    backend of MuJoCo. The method ``watch`` must be called in each tick of the simulation. The
-    method ``write`` draws the plot and the video after the run.
+    The constructor checks the options. Call ``check_installation`` when the files of the run are
+    read, ``watch`` in each tick of the simulation, and ``write`` after the run.
     """
 
     def __init__(self, plot: str, video: str = "", *, ideal: bool = False) -> None:
@@ -169,10 +168,30 @@ class RunPictures:
         self._video_recorder: VideoRecorder | None = None
         if plot:
             check_output(plot, PLOT_FORMATS, "--plot")
-            with picture_errors():
-                check_plotting()
         if video:
-            self._video_recorder = _prepare_video(video, ideal)
+            check_output(video, VIDEO_FORMATS, "--video")
+            if ideal:
+                raise typer.BadParameter(
+                    "a run with ideal joints has no scene for a video; leave out --ideal",
+                    param_hint="'--video'",
+                )
+            self._video_recorder = VideoRecorder(RATES[_suffix(video)])
+
+    def check_installation(self) -> None:
+        """Raises ``OutsideError`` if the plot or the video needs something that is not installed.
+
+        Errors in options and files are reported first, because the user can correct them here.
+        Call it before the import of MuJoCo, because it selects the OpenGL backend of MuJoCo.
+        """
+        with picture_errors():
+            if self.plot:
+                check_plotting()
+            if self.video:
+                if _suffix(self.video) == "gif":
+                    check_pillow()
+                else:
+                    encoder()
+                choose_opengl_backend()
 
     def watch(self, loop: ControlLoop) -> None:
         """Stores the current sample for the plot and the current scene for the video."""
@@ -219,18 +238,5 @@ class RunPictures:
                 message(self.video)
 
 
-def _prepare_video(video: str, ideal: bool) -> VideoRecorder:
-    check_output(video, VIDEO_FORMATS, "--video")
-    if ideal:
-        raise typer.BadParameter(
-            "a run with ideal joints has no scene for a video; leave out --ideal",
-            param_hint="'--video'",
-        )
-    suffix = Path(video).suffix.lower().lstrip(".")
-    with picture_errors():
-        if suffix == "gif":
-            check_pillow()
-        else:
-            encoder()
-        choose_opengl_backend()
-    return VideoRecorder(RATES[suffix])
+def _suffix(path: str) -> str:
+    return Path(path).suffix.lower().lstrip(".")

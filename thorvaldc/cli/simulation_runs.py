@@ -24,8 +24,9 @@ from thorvaldc.model.scenario import GROUPS, Scenario, SensorSettings
 from thorvaldc.model.sensor_numbers import not_simulated
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation import scenario_run
-from thorvaldc.simulation.control_loop import SimulationResult, TickCallback, result_table
+from thorvaldc.simulation.control_loop import TickCallback
 from thorvaldc.simulation.records.recorder import Recorder, record_ticks
+from thorvaldc.simulation.simulation_result import SimulationResult, result_table
 from thorvaldc.simulation.simulation_run import Simulation
 
 TWIST_DURATION = 5.0
@@ -91,6 +92,7 @@ def run_scenario(compilation: Compilation, scenario: Scenario, options: RunOptio
     """Runs a scenario, prints its result and returns the exit status."""
     if options.junit:
         check_output(options.junit, ("xml",), "--junit")
+    options.pictures.check_installation()
     gc.enable()
     report = Report()
     robots = [(placement.name, placement.robot) for placement in scenario.fleet.placements]
@@ -129,6 +131,7 @@ def run_drive(
     - ``twist``: commanded twist, or ``None`` for the demonstration manoeuvre of the robot.
     - ``duration``: duration in s, or 0 for the default duration.
     """
+    options.pictures.check_installation()
     gc.enable()
     report = Report()
     try:

@@ -1,9 +1,9 @@
 """The marks of classes for the compiled runtime.
 
-A plug-in is interpreted. mypyc refuses an interpreted subclass of a compiled class without the mark
-``@mypyc_attr(allow_interpreted_subclasses=True)``, and a second base class without the mark
-``@trait``. The package mypy_extensions defines them for type checkers and for mypyc; when the
-program runs they have no effect, so the runtime does not require this package.
+Plug-ins and some modules are interpreted. mypyc refuses an interpreted subclass of a compiled class
+without the mark ``@mypyc_attr(allow_interpreted_subclasses=True)``, and a second base class without
+the mark ``@trait``. The package mypy_extensions defines them for type checkers and for mypyc; when
+the program runs they have no effect, so the runtime does not require this package.
 """
 
 from __future__ import annotations

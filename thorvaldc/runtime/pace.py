@@ -26,6 +26,7 @@ from typing import Final, Protocol
 
 from thorvaldc.model import DriverSettings, Robot
 from thorvaldc.model.stopping import shortest_watchdog
+from thorvaldc.runtime.mypyc_marks import mypyc_attr
 
 
 class Clock(Protocol):
@@ -72,6 +73,7 @@ class Timing:
     """Start times (s) of the cycles.  Recorded only with ``keep_starts``."""
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Pace:
     """The deadlines of the control cycles of a robot.
 

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from thorvaldc.compiler.scenario.scenario_compilation import metric_units
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, WheelGeometry
-from thorvaldc.simulation.control_loop import ControlLoop, RobotResult
+from thorvaldc.simulation.control_loop import ControlLoop
 from thorvaldc.simulation.physics.mujoco_scene import RollingRadii
 from thorvaldc.simulation.physics.scenario_base import ScenarioBase
+from thorvaldc.simulation.simulation_result import RobotResult
 
 Array = NDArray[np.float64]
 

@@ -18,6 +18,7 @@ from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation import control_loop
 from thorvaldc.simulation.physics.scenario_base import ScenarioBase
 from thorvaldc.simulation.records.recorder import Recorder, RunHash
+from thorvaldc.simulation.simulation_result import SimulationResult, result_table
 from thorvaldc.simulation.simulation_run import Simulation
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ class ScenarioResult:
     """
 
     scenario: str
-    run: control_loop.SimulationResult
+    run: SimulationResult
     metrics: Mapping[str, Mapping[str, float]]
     checks: tuple[Check, ...]
     hash: str
@@ -295,7 +296,7 @@ def scenario_text(result: ScenarioResult, width: int | None = None) -> str:
     ``width``: number of columns of the terminal, or ``None`` for one line per robot.
     """
     run = result.run
-    lines = [control_loop.result_table([run], width)]
+    lines = [result_table([run], width)]
     for check in result.checks:
         verdict = "ok    " if check.passed else "FAILED"
         lines.append(

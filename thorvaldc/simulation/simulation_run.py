@@ -20,10 +20,11 @@ from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import Pose2, Twist, twist_text
 from thorvaldc.runtime.twist_ramp import is_axle_swing
 from thorvaldc.simulation import control_loop
-from thorvaldc.simulation.control_loop import ControlLoop, Manoeuvre, SimulationResult, TickCallback
+from thorvaldc.simulation.control_loop import ControlLoop, Manoeuvre, TickCallback
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoScene
 from thorvaldc.simulation.physics.sim_base import GroundTruth, RollingBase, SimBase, WheelErrors
+from thorvaldc.simulation.simulation_result import SimulationResult
 
 if TYPE_CHECKING:
     from thorvaldc.model.scenario import SensorSettings

@@ -12,7 +12,7 @@ from tests.backends.rcl_parameters import read
 from tests.backends.ros2.launch_double import Started, spawned_controllers
 from tests.backends.ros2.packages import launch, variant
 from tests.backends.ros2.test_launch_files import depends
-from tests.examples import ROBOTS, example_robot
+from tests.examples import SAMPLED_ROBOTS, example_robot
 from thorvaldc.backends.ros2 import package_of
 from thorvaldc.backends.sdf import STEP
 
@@ -21,7 +21,7 @@ OTHER = "4wd4ws_wide"
 
 
 @pytest.mark.parametrize("hardware", ["mock", "mujoco"])
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_ros2_control(name: str, hardware: str, tmp_path: Path) -> None:
     """The started controllers exist, with joints of the URDF, and their packages are declared."""
     robot = variant(name, namespace="r1")

@@ -21,7 +21,7 @@ from tests.backends.ros2.packages import (
     variant,
     write,
 )
-from tests.examples import ROBOTS, example_fleet, example_robot
+from tests.examples import SAMPLED_ROBOTS, example_fleet, example_robot
 from thorvaldc.backends.ros2 import package_of
 from thorvaldc.model import Robot
 from thorvaldc.ros.parameters import PARAMETERS
@@ -77,7 +77,7 @@ def depends(robot: Robot) -> set[str | None]:
     return {element.text for element in manifest.iter("exec_depend")}
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_everything_that_a_launch_file_names_exists(name: str, tmp_path: Path) -> None:
     """Packages are dependencies, executables exist, and each parameter file has its node."""
     robot = example_robot(name)

@@ -12,7 +12,7 @@ import pytest
 
 from tests.backends.ros2.packages import DISTROS, launch, parameter_files, parameters, variant
 from tests.backends.ros2.test_declared_parameters import car_with_lidar
-from tests.examples import ROBOTS, example_robot
+from tests.examples import SAMPLED_ROBOTS, example_robot
 from thorvaldc.backends.ros2 import package_of
 from thorvaldc.backends.ros2_navigation import Motion
 from thorvaldc.model import Robot
@@ -188,7 +188,7 @@ def inside(point: tuple[float, float], corners: list[tuple[float, float]]) -> bo
     )
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_footprint_contains_every_wheel_in_every_direction(name: str) -> None:
     robot = example_robot(name)
     corners = footprint(robot)

@@ -12,14 +12,14 @@ from xml.etree import ElementTree
 import pytest
 
 from tests.backends.ros2.packages import install, variant, write
-from tests.examples import ROBOTS, example_fleet, example_robot
+from tests.examples import SAMPLED_ROBOTS, example_fleet, example_robot
 from tests.ros.environments import DISTROS, python_of
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.backends.ros2 import Ros2, package_of
 from thorvaldc.model.model_json import from_json
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_manifest(name: str) -> None:
     robot = example_robot(name)
     files = package_of(robot)
@@ -113,7 +113,7 @@ def test_the_program_says_where_thorvaldc_is_missing(tmp_path: Path) -> None:
         env={"PATH": os.environ["PATH"]},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         check=False,
     )
     assert result.returncode == 1

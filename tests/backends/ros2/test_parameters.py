@@ -10,7 +10,7 @@ import yaml
 
 from tests.backends.rcl_parameters import read
 from tests.backends.ros2.packages import DISTROS, parameters, variant
-from tests.examples import ROBOTS, example_robot
+from tests.examples import SAMPLED_ROBOTS, example_robot
 from tests.robots import make_robot
 from thorvaldc.backends.ros2 import package_of
 from thorvaldc.backends.ros2_parameters import teleop, twist_mux
@@ -26,7 +26,7 @@ def flat(value: Any, prefix: str = "") -> dict[str, Any]:
     return out
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_rcl_and_pyyaml_read_the_same(name: str) -> None:
     for path, data in package_of(example_robot(name)).items():
         if not path.endswith(".yaml") or "gz_bridge" in path:

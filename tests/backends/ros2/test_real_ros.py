@@ -9,11 +9,11 @@ from typing import Any
 
 from tests.backends.ros2.packages import launch, parameter_files, variant, write
 from tests.child_process import ChildProcess
-from tests.examples import ROBOTS
+from tests.examples import SAMPLED_ROBOTS
 from tests.ros.environments import ROOT, each_distro, python_of, variables
 from thorvaldc.backends.ros2 import package_of
 
-pytestmark = each_distro()
+pytestmark = each_distro(both=True)
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service"}
 # Runs in the Python of ROS 2: creates each node with the file, and prints what it received.
 PROGRAM = """
@@ -53,7 +53,7 @@ print("FOUND" + json.dumps(found))
 def test_rcl_reads_every_value_with_its_type(distro: str, tmp_path: Path) -> None:
     expected: dict[str, dict[str, Any]] = {}
     jobs: dict[str, list[str]] = {}
-    for name in ROBOTS:
+    for name in SAMPLED_ROBOTS:
         robot = variant(name, distro=distro, odom_tf="ekf", namespace="r1")
         folder = write(tmp_path / name, package_of(robot))
         for file, nodes in parameter_files(robot).items():
@@ -78,7 +78,7 @@ def test_rcl_reads_every_value_with_its_type(distro: str, tmp_path: Path) -> Non
         for name, value in values.items():
             assert type(received[name]) is type(value), f"{key} {name}"
             count += 1
-    assert count > 1000
+    assert count > 70 * len(SAMPLED_ROBOTS)
 
 
 def test_the_launched_base_driver_drives_the_robot(distro: str, tmp_path: Path) -> None:
@@ -109,7 +109,7 @@ def test_the_launched_base_driver_drives_the_robot(distro: str, tmp_path: Path) 
             env=variables(tmp_path),
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=300,
             check=False,
         )
     finally:

@@ -124,7 +124,7 @@ def test_a_foreign_device_with_a_pinned_id_is_a_conflict(bench: Bench) -> None:
     assert "`sprayer`" in diagnostic.message
 
 
-@pytest.mark.parametrize("seed", mostly_slow(range(30), 10))
+@pytest.mark.parametrize("seed", mostly_slow(range(30), 3, slow=3))
 def test_no_history_of_changes_renumbers_a_device(seed: int) -> None:
     """Devices come and go in any order, by hand or chosen; who stays keeps the id."""
     generator = random.Random(seed)

@@ -64,17 +64,20 @@ DESCRIPTIONS = {
 }
 
 
-@pytest.fixture(params=DESCRIPTIONS)
-def build(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Robot, Path]:
+@pytest.fixture(params=DESCRIPTIONS, scope="module")
+def build(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Robot, Path]:
     """A robot with the description, and the folder of its files."""
-    compilation = compile(arm_robot(tmp_path, arm=DESCRIPTIONS[request.param]))
+    folder = tmp_path_factory.mktemp("arm")
+    compilation = compile(arm_robot(folder, arm=DESCRIPTIONS[request.param]))
     assert not compilation.report.errors, [d.message for d in compilation.report.errors]
     robot = compilation.model
     for name, data in emit(robot, ["urdf", "mjcf"]).items():
-        path = tmp_path / "build" / name
+        path = folder / "build" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
-    return robot, tmp_path / "build"
+    return robot, folder / "build"
 
 
 def test_no_link_of_the_model_is_the_ground(build: tuple[Robot, Path]) -> None:
@@ -97,6 +100,7 @@ def test_every_body_belongs_to_the_robot_in_mujoco(build: tuple[Robot, Path], fi
         assert model.jnt_type[model.body_jntadr[base]] == mujoco.mjtJoint.mjJNT_FREE
 
 
+@pytest.mark.slow
 def test_sdformat_has_no_joint_to_the_world(build: tuple[Robot, Path]) -> None:
     path = build[1] / "urdf" / "robot.urdf"
     command = [path_of("ign"), "sdf", "-p", str(path)]
@@ -113,6 +117,7 @@ def test_sdformat_has_no_joint_to_the_world(build: tuple[Robot, Path]) -> None:
     assert process.stdout.splitlines()[-1] == "Valid.", process.stdout
 
 
+@pytest.mark.slow
 def test_only_the_base_floats_in_drake(build: tuple[Robot, Path]) -> None:
     robot, folder = build
     command = [path_of_drake_python(), "-c", READ_BY_DRAKE, str(folder / "urdf/robot.urdf")]

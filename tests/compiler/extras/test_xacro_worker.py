@@ -115,7 +115,7 @@ def test_an_interrupt_ends_the_worker(tmp_path: Path) -> None:
         worker = children.read_text().strip()
     time.sleep(0.3)  # the worker is expanding now, or starts soon
     process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=10.0) != 0
+    assert process.wait(timeout=300) != 0
     while is_running(worker) and time.monotonic() < deadline:
         time.sleep(0.02)
     assert not is_running(worker)

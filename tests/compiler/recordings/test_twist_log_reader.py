@@ -104,7 +104,10 @@ def test_replayed_record_is_bit_identical(tmp_path: Path, record: str) -> None:
     assert hashes[0] == hashes[1]
 
 
-@pytest.mark.parametrize(("stamped", "mcap"), [(True, True), (False, True), (False, False)])
+@pytest.mark.parametrize(
+    ("stamped", "mcap"),
+    [(True, True), (False, False), pytest.param(False, True, marks=pytest.mark.exhaustive)],
+)
 def test_each_robot_has_its_own_topic_in_a_bag(tmp_path: Path, stamped: bool, mcap: bool) -> None:
     topics = {"/cart/cmd_vel": DRIVE, "/other/cmd_vel": [(0.0, -0.2, 0.0)], "/joy": DRIVE}
     bag(tmp_path / "bag", topics, stamped=stamped, mcap=mcap)

@@ -13,10 +13,11 @@ import pytest
 from tests.compiler.sandbox.test_worker_process import ROBOT
 from tests.compiler.shapes.test_meshes import collada
 from tests.compiler.shapes.test_meshes_in_mujoco import CORNERS, FACES, obj, ply, scaled, stl
+from tests.slow import mostly_slow
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import MeshShape, Robot, Vec3
 
-FORMATS = ["stl", "obj", "ply", "off", "gltf", "dae"]
+FORMATS = ["obj", "gltf", "dae", "ply", "off", "stl"]
 POINTS: dict[str, tuple[list[Vec3], str]] = {  # with the diagnostic
     "solid": (CORNERS, ""),
     "flat": ([*CORNERS[:3], (1.0, 1.0, 0.0)], "mesh-flat"),
@@ -131,7 +132,7 @@ def check_mujoco(folder: Path, model: Robot | None, count: int) -> None:
         assert (folder / "build" / "meshes" / name).is_file()
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("suffix", mostly_slow(FORMATS, 2, slow=1))
 def test_points(tmp_path: Path, suffix: str) -> None:
     files = {f"{name}.{suffix}": WRITE[suffix](points) for name, (points, _) in POINTS.items()}
     refused = {f"{name}.{suffix}": {code} for name, (_, code) in POINTS.items() if code}
@@ -144,7 +145,7 @@ def test_points(tmp_path: Path, suffix: str) -> None:
     check_mujoco(tmp_path, model, len(accepted))
 
 
-@pytest.mark.parametrize("suffix", FORMATS[1:])
+@pytest.mark.parametrize("suffix", mostly_slow(FORMATS[:-1], 2, slow=2))
 def test_faces_with_wrong_indices(tmp_path: Path, suffix: str) -> None:
     """A face with a missing corner is refused, or the reader of the format drops the face."""
     files = {f"{name}.{suffix}": with_index(suffix, index) for name, index in INDICES.items()}

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.examples import ROBOTS, example_robot
+from tests.examples import SAMPLED_ROBOTS, example_robot
 from tests.robots import make_robot
 from thorvaldc.model.facts.fact_tables import fact_tables
 from thorvaldc.model.facts.robot_facts import fact_sections, facts_document, robot_facts
@@ -20,7 +20,7 @@ SQUARE = [(0.5, 0.4), (0.5, -0.4), (-0.5, 0.4), (-0.5, -0.4)]
 STEERED = [(x, y, "steered") for x, y in SQUARE]
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_facts_of_an_example_agree_with_each_other(name: str) -> None:
     robot = example_robot(name)
     facts = robot_facts(robot)

@@ -17,7 +17,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-TIMEOUT = 40.0  # s, real time
+TIMEOUT = 120.0  # s, real time
 
 
 def seconds(message: Any) -> float:

@@ -19,7 +19,7 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-TIMEOUT = 60.0  # s, real time without progress
+TIMEOUT = 120.0  # s, real time without progress
 REST = 3.0
 """Time (s) at the end in which zero is commanded."""
 Pose = tuple[float, float, float]

@@ -12,19 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from tests.child_process import ChildProcess, end_at_hang_up
-from tests.ros.environments import ROOT, python_of, variables
+from tests.ros.environments import python_of, variables
 
 GUARD = "import sys; from thorvaldc.ros.base_driver import guard; sys.exit(guard())"
-
-
-def python_with_dart() -> str:
-    """Returns the Python with DART; the test is skipped without it."""
-    from tests.outside_tools import without
-
-    python = ROOT / ".venv" / "dart" / "bin" / "python"
-    if not python.exists():
-        without("there is no environment .venv/dart with DART")
-    return str(python)
 
 
 @contextlib.contextmanager
@@ -48,7 +38,9 @@ def engine(
     distro: str, folder: Path, physics: str, file: Path, packages: Sequence[Path], *options: str
 ) -> contextlib.AbstractContextManager[ChildProcess]:
     """Runs the engine with packages in one world."""
-    python = python_with_dart() if physics == "dart" else sys.executable
+    from tests.outside_tools import path_of_dart_python
+
+    python = path_of_dart_python() if physics == "dart" else sys.executable
     arguments = ["-m", "tests.ros.engines.gazebo_engine", "--physics", physics]
     arguments += ["--python", python, "--file", str(file), *options, *map(str, packages)]
     return process(distro, folder, arguments)
@@ -79,7 +71,7 @@ def node(
 def end(started: ChildProcess) -> dict[str, Any]:
     """Ends an engine, and returns its report."""
     started.send_signal(signal.SIGTERM)
-    out, err = started.communicate(timeout=30)
+    out, err = started.communicate(timeout=300)
     assert started.returncode == 0, err
     report: dict[str, Any] = json.loads(out)
     return report

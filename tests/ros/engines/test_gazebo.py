@@ -16,10 +16,11 @@ from typing import Any
 import pytest
 
 from tests.backends.ros2.packages import write
-from tests.examples import ROBOTS, example_fleet, example_robot
+from tests.examples import SAMPLED_ROBOTS, example_fleet, example_robot
 from tests.ros.engines import running
 from tests.ros.environments import DISTROS, each_distro
 from tests.ros.test_node import run_client
+from tests.slow import mostly_slow
 from thorvaldc.compiler.pipeline import emit
 
 FIRST = pytest.mark.parametrize(
@@ -75,7 +76,7 @@ def check(result: dict[str, Any], shortest: float) -> None:
     assert result["yaw"] < YAW, result
 
 
-@each_distro()
+@each_distro(both=True)
 @pytest.mark.parametrize("physics", ["mujoco", pytest.param("dart", marks=pytest.mark.slow)])
 def test_a_steered_robot_drives_and_knows_where_it_is(
     distro: str, physics: str, tmp_path: Path
@@ -87,7 +88,7 @@ def test_a_steered_robot_drives_and_knows_where_it_is(
 
 @FIRST
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in ROBOTS if name != STEERED])
+@pytest.mark.parametrize("name", [name for name in SAMPLED_ROBOTS if name != STEERED])
 def test_every_example_drives(distro: str, name: str, tmp_path: Path) -> None:
     physics = "mujoco" if name in COUPLED else "dart"
     result = mission(distro, tmp_path, physics, build(name, tmp_path), 12.0)
@@ -95,8 +96,7 @@ def test_every_example_drives(distro: str, name: str, tmp_path: Path) -> None:
 
 
 @each_distro()
-@pytest.mark.slow
-@pytest.mark.parametrize("physics", ["dart", "mujoco"])
+@pytest.mark.parametrize("physics", mostly_slow(["dart", "mujoco"], 0, 1))
 def test_a_fleet_drives_in_one_world(distro: str, physics: str, tmp_path: Path) -> None:
     fleet = example_fleet("fleet_of_four")
     write(tmp_path, emit(fleet, ["ros2", "mjcf", "sdf"]))
@@ -133,54 +133,57 @@ def replaced(file: str, pattern: str, text: str, count: int = 1) -> Callable[[Pa
     return change
 
 
+WRONG_FILES = [
+    (replaced("config/gz_bridge.yaml", r'gz_topic_name: "fl_\w+', "\\g<0>s"), "no system has"),
+    (replaced("config/gz_bridge.yaml", "Float64", "Float32"), "std_msgs/msg/Float32"),
+    (replaced("config/gz_bridge.yaml", "ROS_TO_GZ", "GZ_TO_ROS"), "no system has"),
+    (replaced("config/gz_bridge.yaml", "gz.msgs.Model", "gz.msgs.Pose"), "no system has"),
+    (replaced("config/gz_bridge.yaml", "GZ_TO_ROS", "BIDIRECTIONAL"), "no system has"),
+    (replaced("config/gz_bridge.yaml", "gz.msgs.LaserScan", "gz.msgs.Laser"), "no system has"),
+    (replaced("config/gz_bridge.yaml", "  direction", "  lazy: true\n\\g<0>"), "an entry with"),
+    (replaced("sdf/model.sdf", "<topic>joint_states", "<topic>states"), "topic joint_states"),
+    (replaced("sdf/model.sdf", "<odom_topic>.*</odom_topic>", ""), "topic odometry/true"),
+    (replaced("sdf/model.sdf", "<topic>fl_", "<topic>left_"), "no system has the topic fl_"),
+    (replaced("sdf/model.sdf", "<joint_name>fl_", "<joint_name>x_"), "no joint x_"),
+    (
+        replaced("sdf/model.sdf", r"<p_gain>(.+)</p_gain>", r"<gain>\1</gain>"),
+        "JointPositionController reads no gain",
+    ),
+    (replaced("sdf/model.sdf", "systems::JointC", "systems::WheelC"), "no system "),
+]
+
+
 @FIRST
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (replaced("config/gz_bridge.yaml", r'gz_topic_name: "fl_\w+', "\\g<0>s"), "no system has"),
-        (replaced("config/gz_bridge.yaml", "Float64", "Float32"), "std_msgs/msg/Float32"),
-        (replaced("config/gz_bridge.yaml", "ROS_TO_GZ", "GZ_TO_ROS"), "no system has"),
-        (replaced("config/gz_bridge.yaml", "gz.msgs.Model", "gz.msgs.Pose"), "no system has"),
-        (replaced("config/gz_bridge.yaml", "GZ_TO_ROS", "BIDIRECTIONAL"), "no system has"),
-        (replaced("config/gz_bridge.yaml", "gz.msgs.LaserScan", "gz.msgs.Laser"), "no system has"),
-        (replaced("config/gz_bridge.yaml", "  direction", "  lazy: true\n\\g<0>"), "an entry with"),
-        (replaced("sdf/model.sdf", "<topic>joint_states", "<topic>states"), "topic joint_states"),
-        (replaced("sdf/model.sdf", "<odom_topic>.*</odom_topic>", ""), "topic odometry/true"),
-        (replaced("sdf/model.sdf", "<topic>fl_", "<topic>left_"), "no system has the topic fl_"),
-        (replaced("sdf/model.sdf", "<joint_name>fl_", "<joint_name>x_"), "no joint x_"),
-        (
-            replaced("sdf/model.sdf", r"<p_gain>(.+)</p_gain>", r"<gain>\1</gain>"),
-            "JointPositionController reads no gain",
-        ),
-        (replaced("sdf/model.sdf", "systems::JointC", "systems::WheelC"), "no system "),
-    ],
-)
+@pytest.mark.parametrize("case", mostly_slow(WRONG_FILES, 0, 3))
 def test_the_engine_refuses_files_that_do_not_fit(
-    distro: str, change: Callable[[Path], None], message: str, tmp_path: Path
+    distro: str, case: tuple[Callable[[Path], None], str], tmp_path: Path
 ) -> None:
+    change, message = case
     package = build(STEERED, tmp_path)
     change(package)
     file = scene("mujoco", tmp_path, package)
     with running.engine(distro, tmp_path, "mujoco", file, [package]) as engine:
-        _, err = engine.communicate(timeout=60)
+        _, err = engine.communicate(timeout=300)
     assert engine.returncode == 1
     assert message in err
 
 
 @FIRST
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
-    [
-        replaced("sdf/model.sdf", "<xyz>0 1 0</xyz>", "<xyz>0 -1 0</xyz>", 0),
-        replaced("sdf/model.sdf", "<radius>0.2</radius>", "<radius>0.19</radius>", 0),
-        replaced("sdf/model.sdf", "<xyz>0 0 1</xyz>", "<xyz>0 0 -1</xyz>", 0),
-        replaced("sdf/model.sdf", r"<p_gain>\d", "<p_gain>-1"),
-        replaced("sdf/model.sdf", "<cmd_max>", "<cmd_max>0.000"),
-        replaced("sdf/model.sdf", r"<velocity>[5-9][\d.]+<", "<velocity>1<", 0),
-        replaced("sdf/model.sdf", r"<effort>\d+<", "<effort>0.1<", 0),
-    ],
+    mostly_slow(
+        [
+            replaced("sdf/model.sdf", "<xyz>0 1 0</xyz>", "<xyz>0 -1 0</xyz>", 0),
+            replaced("sdf/model.sdf", "<radius>0.2</radius>", "<radius>0.19</radius>", 0),
+            replaced("sdf/model.sdf", "<xyz>0 0 1</xyz>", "<xyz>0 0 -1</xyz>", 0),
+            replaced("sdf/model.sdf", r"<p_gain>\d", "<p_gain>-1"),
+            replaced("sdf/model.sdf", "<cmd_max>", "<cmd_max>0.000"),
+            replaced("sdf/model.sdf", r"<velocity>[5-9][\d.]+<", "<velocity>1<", 0),
+            replaced("sdf/model.sdf", r"<effort>\d+<", "<effort>0.1<", 0),
+        ],
+        0,
+        2,
+    ),
     ids=[
         *("sign of an axis", "radius of a wheel", "sign of a steering axis", "sign of a gain"),
         *("torque of a controller", "speed of the drives", "torque of the joints"),

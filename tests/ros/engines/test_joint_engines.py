@@ -50,7 +50,7 @@ def drive(
 def refusal(distro: str, folder: Path, engine: Sequence[str]) -> str:
     """Returns the only line of an engine that ends with exit status 1."""
     with running.process(distro, folder, engine) as started:
-        _, err = started.communicate(timeout=60)
+        _, err = started.communicate(timeout=300)
     assert started.returncode == 1, err
     (line,) = err.splitlines()
     return str(line)

@@ -9,12 +9,13 @@ import pytest
 
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
 from tests.simulation.bus.robots import ROBOTS, roboteq
+from tests.slow import mostly_exhaustive
 from thorvaldc.runtime.base_interface import RequestRefused
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.se2 import ZERO_TWIST
 from thorvaldc.runtime.service_table import Caller, ServiceError
 
-both = pytest.mark.parametrize("kind", ROBOTS)
+both = pytest.mark.parametrize("kind", mostly_exhaustive(ROBOTS))
 
 
 def ready(kind: str = "Thorvald script") -> Rig:

@@ -13,6 +13,7 @@ import pytest
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
 from tests.runtime.can_base.test_can_base import four_wheels
 from tests.simulation.bus.robots import cia402_robot, drives
+from tests.slow import mostly_exhaustive
 from thorvaldc.can.canopen import NmtState
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
@@ -27,7 +28,9 @@ from thorvaldc.simulation.bus.roboteq_device import RoboteqController
 SYNC, MASTER_HEARTBEAT = 0x080, 0x77F
 PERIOD = 0.02
 
-both = pytest.mark.parametrize("make", [four_wheels, drives], ids=["roboteq", "cia402"])
+both = pytest.mark.parametrize(
+    "make", mostly_exhaustive([drives, four_wheels]), ids=["cia402", "roboteq"]
+)
 Make = Callable[[], Robot]
 
 

@@ -9,6 +9,7 @@ import pytest
 from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
 from tests.simulation.bus.robots import ROBOTS
+from tests.slow import mostly_exhaustive
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
@@ -23,7 +24,7 @@ def jump(rig: Rig, angle: float) -> None:
     FaultInjector(rig.simulated, BusFaults(())).inject(fault)
 
 
-@pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
+@pytest.mark.parametrize("robot", mostly_exhaustive(ROBOTS.values()), ids=ROBOTS)
 @pytest.mark.parametrize("drives", [False, True])
 def test_a_jump_stops_the_robot_which_homes_again(robot: Callable[[], Robot], drives: bool) -> None:
     rig = Rig(robot())
@@ -44,7 +45,7 @@ def test_a_jump_stops_the_robot_which_homes_again(robot: Callable[[], Robot], dr
     assert motor.read(rig.now).position == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
+@pytest.mark.parametrize("robot", mostly_exhaustive(ROBOTS.values()), ids=ROBOTS)
 def test_a_fast_motion_is_no_jump(robot: Callable[[], Robot]) -> None:
     rig = Rig(robot())
     rig.ready()

@@ -10,6 +10,7 @@ from tests.model.stops import stop_bound
 from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import compiled
+from tests.slow import mostly_exhaustive
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.model.stopping import BUS_LOST, BUS_SILENT, DRIVER_DEAD, swerve_bounds
@@ -36,7 +37,7 @@ DRIVES = {
     "CiA 402": ", params: {controller: controller/cia402_propulsion_steering}",
     "Thorvald script": "",
 }
-both = pytest.mark.parametrize("drives", DRIVES)
+both = pytest.mark.parametrize("drives", mostly_exhaustive(DRIVES))
 
 
 def robot(drives: str) -> Robot:

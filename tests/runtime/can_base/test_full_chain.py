@@ -10,6 +10,7 @@ import pytest
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.runtime.can_base.test_can_base import EXAMPLES, four_wheels
 from tests.simulation.bus.robots import drives
+from tests.slow import mostly_exhaustive
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
@@ -60,7 +61,9 @@ def test_the_odometry_experiment_over_the_bus() -> None:
     rig.driven.shutdown()
 
 
-@pytest.mark.parametrize("make", [drives, four_wheels], ids=["cia402", "roboteq"])
+@pytest.mark.parametrize(
+    "make", mostly_exhaustive([drives, four_wheels]), ids=["cia402", "roboteq"]
+)
 def test_hard_ramps_of_a_heavy_robot_are_no_fault(make: Callable[[], Robot]) -> None:
     """Loaded motors lag behind their targets: neither the drives nor the driver report a fault."""
     robot = make()

@@ -13,7 +13,7 @@ import pytest
 
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import MODULES, at_home, quick_to_home
-from tests.slow import mostly_slow
+from tests.slow import mostly_exhaustive
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import BusFault, BusFaults
@@ -113,7 +113,7 @@ def assert_equal(drive: Drive, other: Drive) -> None:
 
 
 each_controller = pytest.mark.parametrize(
-    "controller", mostly_slow([SCRIPT, CIA_402]), ids=["script", "cia402"]
+    "controller", mostly_exhaustive([SCRIPT, CIA_402]), ids=["script", "cia402"]
 )
 
 

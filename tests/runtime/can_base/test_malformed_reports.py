@@ -8,11 +8,12 @@ import pytest
 
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import ROBOTS
+from tests.slow import mostly_exhaustive
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 
-both = pytest.mark.parametrize("make", ROBOTS.values(), ids=ROBOTS)
+both = pytest.mark.parametrize("make", mostly_exhaustive(ROBOTS.values()), ids=ROBOTS)
 REPORT = 0x181
 """COB-ID of the first report of ``fl_controller``."""
 

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.examples import ROBOTS as EXAMPLES
-from tests.examples import example_robot
+from tests.examples import SAMPLED_ROBOTS, example_robot
 from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import cia402, each_drive, roboteq
@@ -139,7 +138,7 @@ def test_the_objects_that_do_not_matter_to_a_script() -> None:
     assert rig.state is BaseState.ACTIVE, rig.reason
 
 
-@pytest.mark.parametrize("example", EXAMPLES)
+@pytest.mark.parametrize("example", SAMPLED_ROBOTS)
 def test_the_table_of_the_page_has_every_object_and_the_driver_reads_what_the_flash_writes(
     example: str,
 ) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import ROBOTS, roboteq
+from tests.slow import mostly_exhaustive
 from thorvaldc.can.frame import CanFrame, ReceivedFrame, to_ns
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
@@ -79,7 +80,7 @@ def driving(robot: Robot) -> tuple[Rig, StandingClock]:
     return rig, clock
 
 
-@pytest.mark.parametrize("make", ROBOTS.values(), ids=ROBOTS)
+@pytest.mark.parametrize("make", mostly_exhaustive(ROBOTS.values()), ids=ROBOTS)
 def test_a_clock_that_stood_for_longer_than_the_watchdogs(make: Callable[[], Robot]) -> None:
     """The drives have braked meanwhile, and the driver must not accelerate them again."""
     rig, clock = driving(make())

@@ -9,7 +9,7 @@ import pytest
 from tests.robots import FOUR_STEERED, make_robot
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import ROBOTS
-from tests.slow import mostly_slow
+from tests.slow import mostly_exhaustive
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.stopping import shortest_watchdog
 from thorvaldc.runtime.base_interface import RequestRefused
@@ -23,7 +23,7 @@ FAST = Twist(SPEED, 0.0, 0.0)
 NOISE = 0.01
 """Largest rise (m/s) of a wheel speed that is no acceleration: whole revolutions per minute."""
 
-both = pytest.mark.parametrize("kind", mostly_slow(reversed(ROBOTS)))
+both = pytest.mark.parametrize("kind", mostly_exhaustive(reversed(ROBOTS)))
 
 
 def driving(kind: str) -> Rig:
@@ -50,7 +50,9 @@ def largest_rise(speeds: list[float]) -> float:
 
 
 @both
-@pytest.mark.parametrize("stall", [0.05, 0.1, 0.2, 0.25, 0.3, 0.55, 0.7, 1.0, 5.0])
+@pytest.mark.parametrize(
+    "stall", mostly_exhaustive([0.1, 0.25, 1.0, 0.05, 0.2, 0.3, 0.55, 0.7, 5.0], 3)
+)
 def test_the_robot_comes_to_rest_and_stays(kind: str, stall: float) -> None:
     """The command is repeated all the time, as by a joystick that is held."""
     rig = driving(kind)
@@ -149,8 +151,8 @@ class StoppedWhileSending(VirtualTimeInterface):
 
 
 @both
-@pytest.mark.parametrize("seconds", [0.03, 0.2, 0.7])
-@pytest.mark.parametrize("frame", [1, 2, 4, 5])
+@pytest.mark.parametrize("seconds", mostly_exhaustive([0.2, 0.7, 0.03], 2))
+@pytest.mark.parametrize("frame", mostly_exhaustive([1, 4, 2, 5], 2))
 def test_at_most_one_old_frame_is_sent(kind: str, seconds: float, frame: int) -> None:
     """The process is stopped while it sends the frames of a cycle, and goes on."""
     rig = driving(kind)

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.slow import mostly_slow
+from tests.slow import mostly_exhaustive
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Node, ObjectValue, Robot
 
@@ -172,6 +172,6 @@ ROBOTS: dict[str, Callable[[], Robot]] = {"CiA 402": cia402, "Thorvald script": 
 
 
 def each_drive(argument: str) -> Any:
-    """Runs a test with both robots of ``ROBOTS``; CiA 402, which takes longer, is marked slow."""
+    """Runs a test with both robots of ``ROBOTS``; CiA 402, which takes longer, is `exhaustive`."""
     names = list(reversed(ROBOTS))
-    return pytest.mark.parametrize(argument, mostly_slow(map(ROBOTS.get, names)), ids=names)
+    return pytest.mark.parametrize(argument, mostly_exhaustive(map(ROBOTS.get, names)), ids=names)

@@ -10,7 +10,7 @@ from typing import Any
 import cantools
 import pytest
 
-from tests.examples import ROBOTS, example_robot
+from tests.examples import SAMPLED_ROBOTS, example_robot
 from tests.robots import make_robot
 from tests.simulation.bus.master import Master
 from tests.simulation.bus.robots import cia402_robot
@@ -47,7 +47,7 @@ class Bus:
         return cantools.database.load_string(files["can/robot.dbc"].decode("cp1252"), "dbc")
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_the_traffic_matches_the_can_map(name: str) -> None:
     bus = Bus(example_robot(name))
     bus.master.nmt(1)

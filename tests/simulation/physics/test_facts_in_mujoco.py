@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.examples import ROBOTS, example_robot
+from tests.examples import SAMPLED_ROBOTS, example_robot
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
@@ -21,7 +21,7 @@ mujoco = pytest.importorskip("mujoco")
 G = GRAVITY
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_mass_and_center_of_mass(name: str) -> None:
     facts = robot_facts(example_robot(name))
     scene = MujocoScene(emit(example_robot(name), ["mjcf"]))

@@ -22,6 +22,7 @@ import trimesh
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from tests.examples import SAMPLED_ROBOTS
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.robot import Mimic
@@ -34,7 +35,7 @@ from thorvaldc.simulation.records.robot_description import LinkFrames
 from thorvaldc.simulation.simulation_run import Simulation
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
-NAMES = sorted(path.parent.name for path in EXAMPLES.glob("*/robot.yaml"))
+NAMES = SAMPLED_ROBOTS
 GLB = "data:model/gltf-binary;base64,"
 
 

@@ -18,6 +18,7 @@ ROBOTS = Path(__file__).parent / "robots"
 FOLDERS = sorted(path.parent for path in ROBOTS.glob("*/expected.yaml"))
 
 
+@pytest.mark.usefixtures("quick_xacro")
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_public_robot(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copytree(folder, tmp_path / "robot")

@@ -171,7 +171,7 @@ def test_wrong_options_are_usage_errors(thorvaldc: Command, scenario: Path) -> N
 def test_ctrl_c_keeps_the_finished_runs(scenario: Path) -> None:
     """The signal goes to all processes, as from a terminal."""
     out = scenario.with_name("out.csv")
-    scenario.write_text(SCENARIO.replace("draws: 2", "draws: 400").replace("1 s", "20 s", 1))
+    scenario.write_text(SCENARIO.replace("draws: 2", "draws: 400"))
     command = [sys.executable, "-m", "thorvaldc", "batch", str(scenario), "--variations", "-j", "2"]
     process = ChildProcess(
         [*command, "-o", str(out)],
@@ -183,13 +183,13 @@ def test_ctrl_c_keeps_the_finished_runs(scenario: Path) -> None:
         start_new_session=True,
     )
     try:
-        end = time.monotonic() + 60.0
+        end = time.monotonic() + 300.0
         while (not out.exists() or len(out.read_bytes().splitlines()) < 4) and (
             time.monotonic() < end
         ):
             time.sleep(0.05)
         os.killpg(process.pid, signal.SIGINT)
-        stdout, stderr = process.communicate(timeout=20)
+        stdout, stderr = process.communicate(timeout=300)
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
@@ -207,7 +207,7 @@ def test_ctrl_c_keeps_the_finished_runs(scenario: Path) -> None:
 
 def test_a_killed_process_is_reported(scenario: Path) -> None:
     """The operating system may kill a process, for instance when memory is short."""
-    scenario.write_text(SCENARIO.replace("draws: 2", "draws: 400").replace("1 s", "20 s", 1))
+    scenario.write_text(SCENARIO.replace("draws: 2", "draws: 400"))
     batch = Batch(scenario, planned(scenario))
     import multiprocessing
     from concurrent.futures.process import BrokenProcessPool

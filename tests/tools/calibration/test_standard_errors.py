@@ -84,8 +84,17 @@ def calibrated(robot: Robot, log: JointLog) -> tuple[CalibrationResult, str]:
     return result, " ".join(f"{d.message} {d.hint}" for d in report)
 
 
-@pytest.mark.parametrize("tau", [0.0, 0.1, 1.0])
-@pytest.mark.parametrize(("robot", "motion"), [(FOUR, MIXED), (CAR, CURVES)])
+@pytest.mark.parametrize(
+    ("robot", "motion", "tau"),
+    [
+        (FOUR, MIXED, 0.1),
+        (CAR, CURVES, 1.0),
+        pytest.param(FOUR, MIXED, 0.0, marks=pytest.mark.slow),
+        pytest.param(FOUR, MIXED, 1.0, marks=pytest.mark.exhaustive),
+        pytest.param(CAR, CURVES, 0.0, marks=pytest.mark.exhaustive),
+        pytest.param(CAR, CURVES, 0.1, marks=pytest.mark.exhaustive),
+    ],
+)
 def test_standard_errors_fit_the_errors(
     robot: Robot, motion: Sequence[Sequence[float]], tau: float
 ) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import GOOD, Command
+from tests.outside_tools import require
 from tests.repository import commit_all
 
 MODULE = """\
@@ -180,6 +181,8 @@ def test_an_error_in_a_revision_shows_the_line_and_the_name_of_the_revision(
 def test_wrong_inputs(
     thorvaldc: Command, arguments: tuple[str, ...], status: int, message: str
 ) -> None:
+    if "git" in message:
+        require("git")
     fleet = "thorvaldc: 1\nname: two\nrobots:\n  a: {robot: good.yaml}\n"
     Path("fleet.yaml").write_text(fleet, encoding="utf-8")
     result = thorvaldc("diff", *arguments)

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Command
-from tests.examples import FLEETS, FOLDER, ROBOTS
+from tests.examples import FLEETS, FOLDER, SAMPLED_ROBOTS
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_the_text_of_an_example_fits_80_columns(thorvaldc: Command, name: str) -> None:
     result = thorvaldc("info", str(FOLDER / name / "robot.yaml"), "--all")
     assert result.status == 0

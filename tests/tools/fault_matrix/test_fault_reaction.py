@@ -17,6 +17,7 @@ from tests.runtime.can_base.test_even_stop import DRIVES, robot
 from tests.runtime.test_runner_services import TWO_BUSES
 from tests.simulation.bus.robots import ROBOTS, cia402_robot, compiled
 from tests.simulation.test_worker_processes import end_the_parent
+from tests.slow import mostly_slow
 from thorvaldc.model.stopping import swerve_bounds
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.tools.fault_matrix.fault_cases import (
@@ -116,8 +117,7 @@ from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix
 from thorvaldc.tools.fault_matrix.fault_matrix import can_fork
 
 matrix = FaultMatrix(ROBOTS["Thorvald script"]())
-names = ("EMCY message of a drive", "connection of the client closed")
-matrix.cases = [case for case in matrix.cases if case.name in names]
+matrix.cases = [case for case in matrix.cases if case.name == "connection of the client closed"]
 rows = matrix.rows(int(sys.argv[1]))
 forked = [{p: r.as_json() for p, r in row.reactions.items()} for row in rows]
 alone = [{p: matrix.react(row.case, p).as_json() for p in row.case.phases} for row in rows]
@@ -151,7 +151,7 @@ def test_phases_of_the_cases() -> None:
     assert {"battery empty", "driver process killed", "another master sends SYNC"} <= set(cases)
 
 
-@pytest.mark.parametrize("drives", DRIVES)
+@pytest.mark.parametrize("drives", mostly_slow(reversed(DRIVES)))
 def test_one_bus_of_several(drives: str) -> None:
     """The page states the yaw, and the robot stops as for a dead driver."""
     model = robot(drives)
@@ -194,6 +194,8 @@ list(run_forked([work] * 4, 2))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize(
+    "number", mostly_slow([signal.SIGKILL, signal.SIGTERM, signal.SIGINT], slow=1)
+)
 def test_the_end_of_the_parent_ends_its_copies(tmp_path: Path, number: signal.Signals) -> None:
     end_the_parent(tmp_path, FORK, number)

@@ -15,6 +15,7 @@ import pytest
 
 from tests.ros.virtual_topics import VirtualTopics
 from tests.simulation.bus.robots import ROBOTS
+from tests.slow import mostly_slow
 from tests.tools.fault_matrix import joint_topic_faults
 from tests.tools.fault_matrix.fault_table_page import BEGIN, END, PAGE, TOPICS
 from thorvaldc.tools.fault_matrix.fault_reaction import STOPS
@@ -77,8 +78,7 @@ def test_a_stop_without_a_rest_is_not_written(monkeypatch: pytest.MonkeyPatch) -
             assert list(joint_topic_faults.cells())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("drives", ROBOTS)
+@pytest.mark.parametrize("drives", mostly_slow(reversed(ROBOTS), quick=0, slow=1))
 def test_every_promise_is_kept_and_is_on_the_page(drives: str) -> None:
     """The matrix runs in a process of its own, which copies itself for each fault."""
     command = [sys.executable, "-m", "tests.tools.fault_matrix.fault_table_page", drives]

@@ -110,9 +110,9 @@ def play(envs: list[Any], steps: int) -> list[Any]:
 @pytest.mark.parametrize(
     ("file", "options"),
     [
-        (SLIM, {}),
+        pytest.param(SLIM, {}, marks=pytest.mark.exhaustive),
         (TALL, {"action": "joints"}),
-        (FLEET, {"robot": "six", "rate": 5.0}),
+        pytest.param(FLEET, {"robot": "six", "rate": 5.0}, marks=pytest.mark.slow),
         (FIELD, {"rate": 25.0}),
     ],
     ids=["robot", "joints", "fleet", "scenario"],

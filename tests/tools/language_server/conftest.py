@@ -26,7 +26,7 @@ ENVIRONMENT = {
 CONFIG = ClientServerConfig(
     server_command=[sys.executable, "-m", "thorvaldc", "lsp", "--stdio"], server_env=ENVIRONMENT
 )
-TIME_LIMIT = 30.0
+TIME_LIMIT = 300.0
 
 
 @pytest_lsp.fixture(config=CONFIG, scope="package")

@@ -101,7 +101,7 @@ def test_only_documents_of_thorvaldc_change_their_language(
         capture_output=True,
         text=True,
         check=True,
-        timeout=60,
+        timeout=300,
     )
     assert f"languages {languages}\n" in run.stdout
     assert "command thorvaldc.preview" in run.stdout

@@ -17,6 +17,7 @@ from tests.child_process import ChildProcess
 from tests.cli.conftest import GOOD, Command
 from tests.cli.person import PATIENCE, Person
 from tests.cli.test_bus import running
+from tests.slow import mostly_slow
 
 
 @pytest.fixture
@@ -72,7 +73,7 @@ def test_the_live_view_scrolls(bus: str, folder: Path) -> None:
         person.close()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", mostly_slow([signal.SIGINT, signal.SIGTERM], slow=0))
 def test_a_signal_ends_the_monitor(bus: str, folder: Path, number: int) -> None:
     process = ChildProcess(
         [sys.executable, "-m", "thorvaldc", "can", "monitor", "good.yaml", "--bus", bus, "--json"],

@@ -24,6 +24,7 @@ from playwright.sync_api import Browser, Page
 from tests.accessibility import axe_script, violations
 from tests.browser import WAIT, chromium, wait_until
 from tests.child_process import ChildProcess
+from tests.cli.conftest import Command
 from tests.examples import example_robot
 from thorvaldc.comparison.robot_comparison import compare_robots
 from thorvaldc.compiler.pipeline import emit
@@ -35,7 +36,7 @@ GOOD = (ROOT / "examples" / "4wd4ws_wide" / "robot.yaml").read_text(encoding="ut
 BAD = GOOD + "\nfoo: 3\n"
 SIZES, IDS = ((1280, 800), (390, 844)), ("desk", "phone")
 
-pytestmark = [pytest.mark.xdist_group("preview"), pytest.mark.timeout(240)]
+pytestmark = pytest.mark.xdist_group("preview")
 
 
 class Preview:
@@ -65,7 +66,7 @@ class Preview:
         os.replace(new, self.file)  # as most editors do
 
     def status(self, path: str, **headers: str) -> int:
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=10)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=WAIT / 1000)
         try:
             connection.request("GET", path, headers=headers)
             return connection.getresponse().status
@@ -75,7 +76,7 @@ class Preview:
     def end(self) -> int:
         self.process.send_signal(signal.SIGINT)
         try:
-            return self.process.wait(20)
+            return self.process.wait(WAIT / 1000)
         finally:
             self.process.end()
 
@@ -100,9 +101,9 @@ def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
     return axe_script(tmp_path_factory.mktemp("axe"))
 
 
-@pytest.fixture(params=[SIZES[0], pytest.param(SIZES[1], marks=pytest.mark.slow)], ids=IDS)
+@pytest.fixture
 def page(request: pytest.FixtureRequest, preview: Preview, browser: Browser) -> Iterator[Page]:
-    width, height = request.param
+    width, height = getattr(request, "param", SIZES[0])
     page = browser.new_page(viewport={"width": width, "height": height})
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
@@ -126,6 +127,8 @@ def position(page: Page) -> Any:
     return page.evaluate("Number((document.documentElement.dataset.position || '0').split(' ')[0])")
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("page", SIZES, ids=IDS, indirect=True)
 def test_a_change_an_error_and_the_way_back(preview: Preview, page: Page) -> None:
     assert "190.6 kg" in page.inner_text("#facts")
     assert page.evaluate("Number(document.documentElement.dataset.triangles)") > 1000
@@ -154,6 +157,7 @@ def test_a_change_an_error_and_the_way_back(preview: Preview, page: Page) -> Non
     wait_for_change(page, before)
 
 
+@pytest.mark.slow
 def test_joints_move_and_keep_their_positions(preview: Preview, page: Page) -> None:
     slider = page.locator("input[data-joint=fl_steering_joint]")
     slider.focus()
@@ -183,6 +187,7 @@ def test_joints_move_and_keep_their_positions(preview: Preview, page: Page) -> N
     assert row.locator("td").all_text_contents() == ["frame.front_left", "frame_clamp", "fl"]
 
 
+@pytest.mark.slow
 def test_each_control_is_reached_with_the_keyboard(page: Page) -> None:
     page.evaluate("document.activeElement.blur()")
     seen = set()
@@ -196,6 +201,7 @@ def test_each_control_is_reached_with_the_keyboard(page: Page) -> None:
     assert page.evaluate("viewer.camera.position.x") != before
 
 
+@pytest.mark.slow
 def test_the_robot_drives_while_a_key_is_held(page: Page) -> None:
     page.click("#drive")
     page.wait_for_selector("#drive[aria-pressed=true]", timeout=WAIT)
@@ -327,12 +333,12 @@ def test_a_message_that_is_none_of_the_page_is_ignored(tmp_path: Path) -> None:
                 f"{server.url}socket", origin=f"http://127.0.0.1:{server.port}"
             ) as connection,
         ):
-            await connection.receive(timeout=60.0)
+            await connection.receive(timeout=WAIT / 1000)
             for message in NO_MESSAGES:
                 await connection.send_str(message)
             await connection.send_str('{"kind": "drive", "on": true}')
             while True:  # the connection still serves
-                answer = await connection.receive(timeout=60.0)
+                answer = await connection.receive(timeout=WAIT / 1000)
                 assert answer.type is aiohttp.WSMsgType.TEXT
                 if json.loads(answer.data)["kind"] == "drive":
                     return
@@ -344,18 +350,10 @@ def test_a_message_that_is_none_of_the_page_is_ignored(tmp_path: Path) -> None:
     assert "Traceback" not in (tmp_path / "messages").read_text()
 
 
-def test_a_port_in_use() -> None:
+def test_a_port_in_use(thorvaldc: Command) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = str(other.getsockname()[1])
-        command = [sys.executable, "-m", "thorvaldc", "preview", "--port", port, "--no-browser"]
-        done = subprocess.run(
-            [*command, "examples/4wd4ws_wide/robot.yaml"],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            cwd=ROOT,
-        )
-    assert done.returncode == 3
-    assert port in done.stderr
-    assert "--port" in done.stderr
-    assert "Traceback" not in done.stderr
+        status, _, err = thorvaldc("preview", "good.yaml", "--port", port, "--no-browser")
+    assert status == 3
+    assert port in err
+    assert "--port" in err

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.examples import FOLDER, ROBOTS, example_robot
+from tests.examples import FOLDER, SAMPLED_ROBOTS, example_robot
 from thorvaldc.comparison.robot_difference import leaf_differences, model_document
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
@@ -15,7 +15,7 @@ from thorvaldc.tools.provenance.influence_search import RobotProbe, scaled
 from thorvaldc.tools.provenance.value_paths import all_paths, observed_value, value_at, with_values
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_without_changes_it_is_the_robot_of_the_compiler(name: str) -> None:
     with ExitStack() as stack:
         probe = RobotProbe(FOLDER / name / "robot.yaml", [], False, stack)

@@ -33,7 +33,7 @@ class DaskProcesses:
             *("scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"),
             **environment,
         )
-        end = time.monotonic() + 60
+        end = time.monotonic() + 300
         while time.monotonic() < end:
             with closing(socket.socket()) as probe:
                 if probe.connect_ex(("127.0.0.1", self.port)) == 0:

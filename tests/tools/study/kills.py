@@ -25,7 +25,7 @@ from tests.tools.study.dask_processes import ROOT, DaskProcesses
 
 DESIGNS = 60
 VICTIMS = ("local process", "study", "worker", "scheduler", "study on a cluster")
-DEADLINE = 120.0
+DEADLINE = 500.0
 """Time for a study, also with what is started again (s)."""
 COMMAND = (sys.executable, "-m", "thorvaldc", "study", "run", "study.yaml")
 STUDY = """\

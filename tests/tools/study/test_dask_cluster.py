@@ -17,6 +17,7 @@ import pytest
 from tests.child_process import ChildProcess
 from tests.cli.conftest import Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
+from tests.slow import mostly_slow
 from tests.tools.study.dask_processes import ROOT, DaskProcesses
 from tests.tools.study.kills import VICTIMS, KilledStudy
 from tests.tools.study.test_studies import DRIVE, STUDY, rows
@@ -52,7 +53,7 @@ def study_with_scenario(number: int) -> None:
 def journal_with_a_result() -> Path:
     """Waits for the first finished design."""
     journal = Path("dask/journal.jsonl")
-    end = time.monotonic() + 60
+    end = time.monotonic() + 300
     while time.monotonic() < end:
         if journal.exists() and journal.read_bytes().count(b"\n") >= 1:
             break
@@ -64,6 +65,7 @@ def table(folder: str) -> bytes:
     return Path(folder, "designs.parquet").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_table(run: Command, dask: DaskProcesses) -> None:
     """Also a worker with several threads, although a design needs its process for itself."""
     study_with_scenario(8)
@@ -77,7 +79,7 @@ def test_a_cluster_gives_the_same_table(run: Command, dask: DaskProcesses) -> No
 
 @pytest.mark.slow
 def test_workers_die_and_join(run: Command, dask: DaskProcesses) -> None:
-    Path("study.yaml").write_text(STUDY.replace("number: 81", "number: 120"))
+    Path("study.yaml").write_text(STUDY.replace("number: 81", "number: 60"))
     assert run("study", "run", "study.yaml", "-j", "1", "-o", "one").status == 0
     command = [sys.executable, "-m", "thorvaldc", "study", "run", "study.yaml", "-o", "dask"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -86,7 +88,7 @@ def test_workers_die_and_join(run: Command, dask: DaskProcesses) -> None:
         journal_with_a_result()
         first.send_signal(signal.SIGKILL)
         dask.start_worker()
-        assert study.wait(60) == 0
+        assert study.wait(300) == 0
     assert table("dask") == table("one")
 
 
@@ -94,7 +96,7 @@ def test_workers_die_and_join(run: Command, dask: DaskProcesses) -> None:
 def test_an_interrupt_leaves_no_tasks_and_the_study_continues(
     run: Command, dask: DaskProcesses
 ) -> None:
-    Path("study.yaml").write_text(STUDY.replace("number: 81", "number: 400"))
+    Path("study.yaml").write_text(STUDY.replace("number: 81", "number: 200"))
     dask.start_worker()
     command = [sys.executable, "-m", "thorvaldc", "study", "run", "study.yaml", "-o", "dask"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -103,16 +105,16 @@ def test_an_interrupt_leaves_no_tasks_and_the_study_continues(
     ) as study:
         journal = journal_with_a_result()
         study.send_signal(signal.SIGINT)
-        _, error = study.communicate(timeout=60)
+        _, error = study.communicate(timeout=300)
     assert study.returncode == 130
     assert "continue" in error
     assert "Traceback" not in error
-    tasks, end = -1, time.monotonic() + 60
+    tasks, end = -1, time.monotonic() + 300
     with distributed.Client(dask.address, set_as_default=False) as client:
         while tasks != 0 and time.monotonic() < end:
             tasks = client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks))
     assert tasks == 0
-    assert journal.read_bytes().count(b"\n") < 400
+    assert journal.read_bytes().count(b"\n") < 200
     continued = run("study", "run", "study.yaml", "--scheduler", dask.address, "-o", "dask")
     assert continued.status == 0, continued.err
     assert run("study", "run", "study.yaml", "-j", "1", "-o", "one").status == 0
@@ -122,9 +124,7 @@ def test_an_interrupt_leaves_no_tasks_and_the_study_continues(
 @pytest.mark.slow
 def test_a_scheduler_that_is_not_there(run: Command) -> None:
     Path("study.yaml").write_text(STUDY)
-    start = time.monotonic()
     result = run("study", "run", "study.yaml", "--scheduler", "tcp://127.0.0.1:9")
-    assert time.monotonic() - start < 60
     assert result.status == 3
     assert "there is no Dask scheduler at tcp://127.0.0.1:9" in result.err
     assert "dask worker tcp://127.0.0.1:9" in result.err
@@ -149,23 +149,25 @@ def test_a_scheduler_that_goes_away(
     assert "the same command continues" in result.err
 
 
-@pytest.mark.slow
+OTHER_VERSIONS = (
+    ("import thorvaldc as t; t.__version__ = '0.0.7'", "has thorvaldc 0.0.7 ("),
+    ("import platform as p; p.python_version_tuple = lambda: '299'", "has Python 2.9; the"),
+    (
+        "import importlib.metadata as m; v = m.version\n"
+        "m.version = lambda name: '0.0.7' if name == 'mujoco' else v(name)",
+        "has mujoco 0.0.7; the study has mujoco ",
+    ),
+)
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ("import thorvaldc as t; t.__version__ = '0.0.7'", "has thorvaldc 0.0.7 ("),
-        ("import platform as p; p.python_version_tuple = lambda: '299'", "has Python 2.9; the"),
-        (
-            "import importlib.metadata as m; v = m.version\n"
-            "m.version = lambda name: '0.0.7' if name == 'mujoco' else v(name)",
-            "has mujoco 0.0.7; the study has mujoco ",
-        ),
-    ],
+    "version", mostly_slow(OTHER_VERSIONS, quick=0, slow=1), ids=["thorvaldc", "Python", "mujoco"]
 )
 def test_a_worker_with_another_version(
-    run: Command, dask: DaskProcesses, change: str, message: str
+    run: Command, dask: DaskProcesses, version: tuple[str, str]
 ) -> None:
     """A worker that differs is named with what differs, also if it joins later."""
+    change, message = version
     Path("study.yaml").write_text(STUDY)
     Path("sitecustomize.py").write_text(change)
     dask.start_worker(PYTHONPATH=f".{os.pathsep}{ROOT}")
@@ -217,8 +219,7 @@ def test_a_design_that_kills_workers_is_an_error(run: Command, dask: DaskProcess
     assert len(found) == 9
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("victim", VICTIMS[3:])
+@pytest.mark.parametrize("victim", mostly_slow(VICTIMS[3:], quick=0, slow=1))
 def test_a_kill_changes_no_byte(run: Command, victim: str) -> None:
     """One instant of each kind; ``python -m tests.tools.study.kills 30`` kills more often."""
     assert KilledStudy(random.Random(victim), designs=12).has_same_bytes_after(victim, "out")[0]

@@ -18,8 +18,9 @@ from playwright.sync_api import Browser, Locator, Page
 import thorvaldc
 from tests.accessibility import axe_script, violations
 from tests.browser import WAIT, chromium
-from tests.cli.conftest import UNPOWERED, Command
+from tests.cli.conftest import UNPOWERED, Command, run_in_this_process
 from tests.cli.conftest import thorvaldc as thorvaldc_command
+from tests.slow import mostly_slow
 from thorvaldc.tools.study.study_report import (
     ReportContent,
     ReportRobot,
@@ -121,7 +122,7 @@ def test_equal_tables_give_equal_bytes_and_load_nothing(run: Command) -> None:
 
 
 @pytest.mark.usefixtures("no_pictures")
-@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("count", mostly_slow([1, 3]))
 def test_one_or_three_objectives(run: Command, count: int) -> None:
     first = "  light: {fact: mass, goal: minimise}\n"
     more = first + "  wide: {fact: size.width, goal: maximise}\n"
@@ -143,7 +144,7 @@ def test_one_or_three_objectives(run: Command, count: int) -> None:
 
 @pytest.mark.usefixtures("no_pictures")
 def test_of_one_objective_the_five_best_designs_are_shown(run: Command) -> None:
-    text = re.sub(r"  stable: .*\n", "", STUDY).replace("number: 5", "number: 12")
+    text = re.sub(r"  stable: .*\n", "", STUDY).replace("number: 5", "number: 8")
     report(run, text.replace("50 deg", "30 deg"))
     study = thorvaldc.compile("study.yaml").tool_document
     assert study is not None
@@ -200,28 +201,37 @@ def browser() -> Iterator[Browser]:
         yield browser
 
 
+@pytest.fixture(scope="module")
+def report_with_pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        run = run_in_this_process(monkeypatch, folder)
+        report(run, STUDY.replace("number: 5", "number: 2"), "-o", "report.html")
+    return folder / "report.html"
+
+
 @pytest.fixture
-def page(browser: Browser, run: Command) -> Iterator[Page]:
+def page(browser: Browser, report_with_pictures: Path) -> Iterator[Page]:
     """A report with pictures in the browser."""
-    report(run, STUDY.replace("number: 5", "number: 2"), "-o", "report.html")
-    with opened(browser, "report.html") as page:
+    with opened(browser, report_with_pictures) as page:
         yield page
 
 
 @contextmanager
-def opened(browser: Browser, file: str, **options: Any) -> Iterator[Page]:
+def opened(browser: Browser, file: Path, **options: Any) -> Iterator[Page]:
     """Opens a file in the browser; the page must have no error and ask no server."""
     page = browser.new_page(viewport={"width": 1000, "height": 800}, **options)
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.on("request", lambda request: errors.append(request.url[:100]))
-    page.goto(Path(file).resolve().as_uri())
+    page.goto(file.resolve().as_uri())
     page.wait_for_selector("html[data-ready]", timeout=WAIT)
     yield page
     page.close()
     assert all(error.startswith(("file:", "data:", "blob:")) for error in errors), errors
 
 
+@pytest.mark.slow
 def test_a_click_shows_the_robot(page: Page) -> None:
     assert page.title() == "track: report of a study"
     assert "taken" in page.inner_text("header")  # as text
@@ -244,6 +254,7 @@ def test_a_click_shows_the_robot(page: Page) -> None:
     assert "track (mm)" in page.inner_html("#plot .xtitle")
 
 
+@pytest.mark.slow
 def test_a_printed_page_has_the_lines_that_were_not_in_view(page: Page) -> None:
     assert not page.locator("#parallel canvas").count()
     page.pdf()
@@ -270,7 +281,7 @@ def test_ranges_of_parallel_coordinates_dim_the_other_designs(
 ) -> None:
     report(run, STUDY.replace("50 deg", "30 deg").replace("number: 5", "number: 3"), "-o", "r.html")
     axe = axe_script(tmp_path)
-    with opened(browser, "r.html", bypass_csp=True) as page:
+    with opened(browser, Path("r.html"), bypass_csp=True) as page:
         page.locator("#parallel").scroll_into_view_if_needed()
         axis = page.locator("#parallel .axis-brush").first
         axis.wait_for(timeout=WAIT)

@@ -23,6 +23,7 @@ import thorvaldc
 from tests.child_process import ChildProcess
 from tests.cli.conftest import UNPOWERED, Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
+from tests.slow import mostly_slow
 from thorvaldc.compiler.scenario.scenario_compilation import metric_units
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.model import Robot
@@ -95,7 +96,7 @@ def track_at(angle: float) -> float:
     return (-b + math.sqrt(b * b - 4 * a * c)) / (2 * a)
 
 
-@pytest.mark.parametrize("method", ["grid, number: 81", "sobol, number: 128"])
+@pytest.mark.parametrize("method", mostly_slow(["grid, number: 41", "sobol, number: 128"], slow=0))
 def test_the_track_of_a_tip_over_angle_is_found(run: Command, method: str) -> None:
     """The lightest robot that tips over at 50 deg is the narrowest one."""
     expected = track_at(math.radians(50))
@@ -176,17 +177,18 @@ def test_the_metrics_of_a_design_are_those_of_its_scenario(run: Command) -> None
         assert expected["collisions"] > 0.0
 
 
+@pytest.mark.slow
 def test_a_killed_study_continues_and_repeats_nothing(run: Command) -> None:
     Path("study.yaml").write_text(STUDY)
     assert run("study", "run", "study.yaml", "-j", "1", "-o", "whole").status == 0
     journal = Path("killed/journal.jsonl")
     command = [sys.executable, "-m", "thorvaldc", "study", "run", "study.yaml", "-o", "killed"]
-    for lines, jobs in ((2, "1"), (25, "2"), (50, "1")):
+    for lines, jobs in ((2, "1"), (25, "2")):
         with ChildProcess(
             [*command, "-j", jobs],
             env={**os.environ, "PYTHONPATH": str(ROOT)},
         ) as process:
-            end = time.monotonic() + 60
+            end = time.monotonic() + 300
             while process.poll() is None and time.monotonic() < end:
                 if journal.exists() and journal.read_bytes().count(b"\n") >= lines:
                     break
@@ -210,6 +212,7 @@ def test_a_killed_study_continues_and_repeats_nothing(run: Command) -> None:
     assert journal.stat().st_size == size
 
 
+@pytest.mark.slow
 def test_a_killed_process_ends_no_study(run: Command) -> None:
     """The operating system may kill a process, for instance when memory is short."""
     Path("study.yaml").write_text(STUDY.replace("number: 81", "number: 21"))
@@ -217,7 +220,7 @@ def test_a_killed_process_ends_no_study(run: Command) -> None:
     study = study_run()
     journal = StudyJournal(Path("killed"))
     for finished in study.results(journal, 2):
-        if finished in (1, 2, 12, 20):
+        if finished in (2, 12):
             processes = multiprocessing.active_children()
             if processes:
                 processes[finished % len(processes)].kill()
@@ -227,7 +230,7 @@ def test_a_killed_process_ends_no_study(run: Command) -> None:
 
 
 def test_designs_that_cannot_be_evaluated_are_rows(run: Command) -> None:
-    Path("study.yaml").write_text(STUDY.replace("number: 81", "number: 3"))
+    Path("study.yaml").write_text(STUDY.replace("number: 81", "number: 2"))
     study, journal, end = study_run(), StudyJournal(Path("out")), threading.Event()
 
     def kill_every_process() -> None:
@@ -242,10 +245,10 @@ def test_designs_that_cannot_be_evaluated_are_rows(run: Command) -> None:
     finally:
         end.set()
         thread.join()
-    assert finished == [0, 1, 2, 3]
+    assert finished == [0, 1, 2]
     study.write_table(journal, Path("out"))
     message = "the process that evaluated it was killed 3 times"
-    assert rows("out", "status, message") == [("error", message)] * 3
+    assert rows("out", "status, message") == [("error", message)] * 2
     journal.close()
     assert run("study", "run", "study.yaml", "-j", "2", "-o", "out").status == 0  # tries again
     assert {status for (status,) in rows("out", "status")} <= {"ok", "constraint"}

@@ -12,6 +12,7 @@ import pytest
 from tests.cli.conftest import GOOD, Command
 from tests.cli.person import Person
 from tests.cli.test_terminal import on_terminal
+from tests.slow import mostly_slow
 
 STUDY = """\
 thorvaldc: 1
@@ -58,6 +59,7 @@ def test_the_front_is_plotted_on_a_terminal(folder: Path) -> None:
     assert TITLE in run(folder)
 
 
+@pytest.mark.slow
 def test_the_plot_has_no_colours_if_the_user_wants_none(folder: Path) -> None:
     output = run(folder, NO_COLOR="1")
     assert TITLE in output
@@ -81,7 +83,8 @@ def test_a_pipe_has_neither_bar_nor_plot(
 
 
 @pytest.mark.parametrize(
-    "module", ["raise ImportError", "def plot_to_string(*a, **k): raise OverflowError"]
+    "module",
+    mostly_slow(["raise ImportError", "def plot_to_string(*a, **k): raise OverflowError"]),
 )
 def test_without_a_plot_there_is_the_bar(
     folder: Path, monkeypatch: pytest.MonkeyPatch, module: str

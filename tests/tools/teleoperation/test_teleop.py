@@ -20,8 +20,9 @@ from typing import Any
 import pytest
 
 from tests.child_process import ChildProcess
-from tests.cli.conftest import GOOD, Command
+from tests.cli.conftest import GOOD, SLOW, Command
 from tests.cli.person import PATIENCE, Person
+from tests.slow import mostly_slow
 from tests.tools.teleoperation.test_joystick import Device
 from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.runtime.control_channel import ControlClient
@@ -89,7 +90,7 @@ def test_keys_drive_and_a_service_is_called_beside(
     assert thorvaldc("call", "good", "state").status == 3
 
 
-@pytest.mark.parametrize("way", ["ctrl-c", "terminate", "hang-up"])
+@pytest.mark.parametrize("way", mostly_slow(["hang-up", "ctrl-c", "terminate"], slow=1))
 def test_the_terminal_is_restored(teleop: Person, way: str) -> None:
     teleop.type("i")
     teleop.until("drives: teleop_joy")
@@ -172,6 +173,7 @@ def test_call_without_a_driver(folder: Path, thorvaldc: Command) -> None:
 
 
 def test_teleop_drives_the_robot_of_run(folder: Path, thorvaldc: Command) -> None:
+    (folder / "good.yaml").write_text(GOOD + SLOW)
     command = [sys.executable, "-m", "thorvaldc", "run", "good.yaml", "--bus", "virtual"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     with ChildProcess(
@@ -209,6 +211,7 @@ def test_teleop_drives_the_robot_of_run(folder: Path, thorvaldc: Command) -> Non
     assert thorvaldc("call", "good", "state").status == 3
 
 
+@pytest.mark.slow
 def test_the_model_of_a_build_drives(folder: Path, thorvaldc: Command) -> None:
     assert thorvaldc("build", str(folder / "good.yaml"), "-o", str(folder / "out")).status == 0
     running = at_teleop(folder, "out/model.json")
@@ -220,7 +223,9 @@ def test_the_model_of_a_build_drives(folder: Path, thorvaldc: Command) -> None:
         running.close()
 
 
+@pytest.mark.slow
 def test_a_robot_on_a_virtual_bus(folder: Path) -> None:
+    (folder / "good.yaml").write_text(GOOD + SLOW)
     running = at_teleop(folder, "good.yaml", "--on", "virtual", "--speed", "20")
     try:
         running.until("not homed; arming homes the steering")

@@ -15,7 +15,9 @@ import numpy as np
 import pytest
 
 from tests.cli.conftest import Command
+from tests.examples import SAMPLED_ROBOTS
 from tests.outside_tools import path_of_usd_python
+from tests.slow import mostly_slow
 from thorvaldc.backends.description_parts import mesh_files
 from thorvaldc.backends.mjcf import ros2_control_files
 from thorvaldc.compiler.pipeline import load
@@ -25,9 +27,7 @@ from thorvaldc.model.statics.joint_tree import tree_of
 
 ROOT = Path(__file__).resolve().parents[3]
 READER = Path(__file__).with_name("usd_reader.py")
-NAMES = sorted(path.parent.name for path in (ROOT / "examples").glob("*/robot.yaml"))
-QUICK = "4wd4ws_wide"
-CASES = [name if name == QUICK else pytest.param(name, marks=pytest.mark.slow) for name in NAMES]
+WIDE = "4wd4ws_wide"
 RULES = {"RigidBodyChecker", "ColliderChecker", "ArticulationChecker", "PhysicsJointChecker"}
 
 
@@ -75,7 +75,8 @@ def shifted(mass: float, com: np.ndarray, inertia: np.ndarray) -> np.ndarray:
     return inertia + mass * (com @ com * np.eye(3) - np.outer(com, com))
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_openusd_accepts_the_file(name: str) -> None:
     robot, usd, _ = read(name)
     assert {validator.rpartition(":")[2] for validator in usd["validators"]} >= RULES
@@ -93,7 +94,8 @@ def test_openusd_accepts_the_file(name: str) -> None:
     assert "FixedJoint" not in parsed
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_links_have_the_poses_of_the_model(name: str) -> None:
     robot, usd, _ = read(name)
     tree = tree_of(robot)
@@ -101,7 +103,8 @@ def test_links_have_the_poses_of_the_model(name: str) -> None:
         assert np.array(usd["frames"][link]) == pytest.approx(pose_matrix(pose), abs=1e-6), link
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_bodies_have_mass_and_inertia_of_their_links(name: str) -> None:
     robot, usd, _ = read(name)
     tree = tree_of(robot)
@@ -136,7 +139,8 @@ def test_bodies_have_mass_and_inertia_of_their_links(name: str) -> None:
     assert total == pytest.approx(robot.inertial.mass, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_joints_have_the_axes_and_limits_of_the_model(name: str) -> None:
     robot, usd, _ = read(name)
     tree = tree_of(robot)
@@ -158,7 +162,8 @@ def test_joints_have_the_axes_and_limits_of_the_model(name: str) -> None:
             assert read_joint["max_speed"] == pytest.approx(joint.velocity, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_drives_have_the_gains_of_motors_and_springs(name: str, tmp_path: Path) -> None:
     """The gains of motors are those that MuJoCo computes from the MJCF with `velocity` servos."""
     import mujoco
@@ -198,7 +203,8 @@ def test_drives_have_the_gains_of_motors_and_springs(name: str, tmp_path: Path) 
             assert drive["target"] == pytest.approx(joint.spring_reference, abs=1e-7)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_every_contact_of_the_mjcf_is_a_collision(name: str) -> None:
     robot, usd, _ = read(name)
     text = ros2_control_files(robot)["mjcf/robot.xml"].decode()
@@ -214,8 +220,9 @@ def test_every_contact_of_the_mjcf_is_a_collision(name: str) -> None:
         assert 0.0 <= nearest["radius"] - wheel.radius < 0.003
 
 
+@pytest.mark.slow
 def test_the_robot_of_four_steered_wheels_has_14_collisions_12_joints_and_12_drives() -> None:
-    robot, usd, messages = read(QUICK)
+    robot, usd, messages = read(WIDE)
     assert len(usd["collisions"]) == 14
     assert len(usd["bodies"]) == 13
     assert sum("drive" in joint for joint in usd["joints"].values()) == 12
@@ -232,12 +239,11 @@ def test_couplings_are_reported() -> None:
     assert "couples the joints rocker_right_pivot by attributes of Newton" in messages
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", ["usda", "usdc"])
+@pytest.mark.parametrize("suffix", mostly_slow(["usda", "usdc"], quick=0, slow=1))
 def test_equal_robots_give_equal_bytes(suffix: str, tmp_path: Path) -> None:
     contents = []
     for number in range(2):
-        write(QUICK, tmp_path / f"{number}.{suffix}")
+        write(WIDE, tmp_path / f"{number}.{suffix}")
         contents.append((tmp_path / f"{number}.{suffix}").read_bytes())
     assert contents[0] == contents[1]
     assert str(tmp_path).encode() not in contents[0]

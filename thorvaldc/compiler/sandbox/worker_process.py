@@ -32,7 +32,7 @@ _PROGRAM = (
     f"import sys; sys.path.append({_ROOT!r}); "
     "from thorvaldc.compiler.sandbox.worker_protocol import main; main()"
 )
-START_SECONDS = 30.0
+START_SECONDS = 120.0
 """Time in which a worker process must start and import its modules."""
 
 

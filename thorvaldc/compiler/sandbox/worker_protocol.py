@@ -26,8 +26,6 @@ import signal
 import sys
 from typing import IO, Any
 
-from thorvaldc.diagnostics.files import read_json
-
 Fields = dict[str, Any]
 
 
@@ -46,14 +44,15 @@ def read_message(stream: IO[bytes], max_bytes: int = -1) -> tuple[Fields, bytes]
     """Reads a message.
 
     Raises ``EOFError`` if the other side has ended, ``OverflowError`` if the line or the data has
-    more than ``max_bytes``, and ``ValueError`` if it is not a message.
+    more than ``max_bytes``, ``ValueError`` if it is not a message, and ``RecursionError`` if its
+    brackets are nested too deeply.
     """
     line = stream.readline(max_bytes)
     if not line.endswith(b"\n"):
         if 0 <= max_bytes <= len(line):
             raise OverflowError
         raise EOFError
-    fields, size = read_json(line)
+    fields, size = json.loads(line)
     if 0 <= max_bytes < size:
         raise OverflowError
     data = stream.read(size)

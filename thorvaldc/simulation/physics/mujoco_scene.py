@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
+from thorvaldc.runtime.mypyc_marks import mypyc_attr
 from thorvaldc.simulation.physics import fleet_reader
 
 SCENE: Final = "mjcf/scene.xml"
@@ -44,6 +45,7 @@ def call_without_warnings(function: Callable[..., Any], *arguments: Any) -> Any:
         mujoco.set_mju_user_warning(user_warning)
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class MujocoScene:
     """A MuJoCo scene with one or more robots, and the simulated time of the scene.
 

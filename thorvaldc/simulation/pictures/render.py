@@ -313,7 +313,7 @@ VARIABLE = "MUJOCO_GL"
 _PROBE = "import mujoco; mujoco.GLContext(8, 8).make_current()"
 _MISSING = (
     "cannot draw without a display: neither EGL nor OSMesa works"
-    " (on Debian and Ubuntu: apt install libegl1 libgl1-mesa-dri, or libosmesa6)"
+    " (on Debian and Ubuntu: apt install libosmesa6, or libegl1 libgl1 libgl1-mesa-dri)"
 )
 
 

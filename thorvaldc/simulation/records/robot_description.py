@@ -42,7 +42,7 @@ def urdf_with_meshes(robot: Robot) -> str:
 def _glb_url(name: str, data: bytes) -> str:
     """Returns a mesh file as the ``data:`` URL of a binary glTF file.
 
-    Each triangle has corners of its own, so that its edges stay sharp.
+    Each triangle has corners of its own, with its normal, so that its edges stay sharp.
     """
     import numpy as np
     from trimesh import Trimesh
@@ -50,8 +50,10 @@ def _glb_url(name: str, data: bytes) -> str:
     points = chain.from_iterable(chain.from_iterable(mesh_triangles(name, data)))
     corners = np.fromiter(points, np.float64).reshape(-1, 3)
     corners = corners[:, (0, 2, 1)] * (1.0, 1.0, -1.0)  # from z up to y up
-    mesh = Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
-    content: Any = mesh.export(file_type="glb", include_normals=True)
+    mesh: Any = Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+    # Without normals of corners, trimesh computes means that need scipy, and logs if it is missing.
+    mesh.vertex_normals = np.repeat(mesh.face_normals, 3, axis=0)
+    content = mesh.export(file_type="glb", include_normals=True)
     return "data:model/gltf-binary;base64," + base64.b64encode(content).decode("ascii")
 
 

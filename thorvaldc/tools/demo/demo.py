@@ -20,7 +20,7 @@ from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
     from thorvaldc.diagnostics import Report
-    from thorvaldc.simulation.control_loop import SimulationResult
+    from thorvaldc.simulation.simulation_result import SimulationResult
 
 PROCESSES = 2
 
@@ -40,7 +40,7 @@ def demo(
 ) -> int:
     from thorvaldc.cli import diagnostic_output
     from thorvaldc.compiler.output.writer import WriteError
-    from thorvaldc.simulation.control_loop import result_table
+    from thorvaldc.simulation.simulation_result import result_table
 
     started = time.monotonic()
     outcomes: list[DemoOutcome] = []

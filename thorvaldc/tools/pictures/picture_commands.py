@@ -56,9 +56,6 @@ def render(
     from thorvaldc.simulation.pictures.render import render as draw
     from thorvaldc.tools.pictures.replay import arrangement
 
-    with run_outputs.picture_errors():  # before MuJoCo is imported
-        check_pillow()
-        choose_opengl_backend()
     pixels = options.parsed(size, parse_size, "--size")
     camera = options.parsed(view, parse_view, "--view")
     if not replay:
@@ -81,6 +78,8 @@ def render(
     report = Report()
     try:
         with run_outputs.picture_errors():
+            check_pillow()
+            choose_opengl_backend()  # before MuJoCo is imported
             files = emit(model, ["mjcf"], report)
             picture = draw(model, files, pixels, camera, arrange=arrange)
     except DiagnosticError as error:

@@ -19,7 +19,7 @@ from thorvaldc.model.spatial import quat_from_rpy
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2
-from thorvaldc.simulation import control_loop
+from thorvaldc.simulation import control_loop, simulation_result
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.records.record_reader import read_record
@@ -28,17 +28,17 @@ from thorvaldc.simulation.records.recorder import RecordedRun
 
 def summary(
     robots: Sequence[tuple[str, Robot]], runs: Mapping[str, RecordedRun]
-) -> control_loop.SimulationResult:
+) -> simulation_result.SimulationResult:
     """Returns the result of a recorded run.
 
     Each result that needs data outside the record is nan.
     """
     end = max(run.samples[-1].time for run in runs.values())
     results = tuple(_result(name, robot, runs[name].samples) for name, robot in robots)
-    return control_loop.SimulationResult("record", end, end, math.nan, False, results)
+    return simulation_result.SimulationResult("record", end, end, math.nan, False, results)
 
 
-def _result(name: str, robot: Robot, samples: Sequence[Sample]) -> control_loop.RobotResult:
+def _result(name: str, robot: Robot, samples: Sequence[Sample]) -> simulation_result.RobotResult:
     first, last = samples[0], samples[-1]
     true = last.pose_true.relative_to(first.pose_true)
     estimated = last.pose_estimated.relative_to(first.pose_estimated)
@@ -55,7 +55,7 @@ def _result(name: str, robot: Robot, samples: Sequence[Sample]) -> control_loop.
     tilt = 0.0
     if all(map(math.isfinite, uprightness)):
         tilt = math.acos(min(max(min(uprightness), -1.0), 1.0))
-    return control_loop.RobotResult(
+    return simulation_result.RobotResult(
         name=name,
         mass=robot.inertial.mass,
         wheels=len(robot.wheels),
@@ -227,6 +227,7 @@ def replay_run(
     runs, status = _read_record(source, robots, for_plot=bool(pictures.plot))
     if runs is None:
         return status
+    pictures.check_installation()
     files = None
     try:
         scenes = None
@@ -241,7 +242,7 @@ def replay_run(
     if json:
         print_json(result.as_json())
     else:
-        print(control_loop.result_table([result], table_width()))
+        print(simulation_result.result_table([result], table_width()))
     if record:
         _convert_record(record, robots, runs)
     pictures.write(model, robots, files)

@@ -123,7 +123,9 @@ class PageDrive:
             if self._vehicle is None or self._operation is None:
                 self._paced = time.monotonic()
                 self._vehicle, operator = self._begin(lambda: self._paced)
-                self._operation = Operation(self._vehicle, operator, self._source, _show_nothing)
+                self._operation = Operation(
+                    self._vehicle, operator, self._source, _show_nothing, time.monotonic
+                )
             now = time.monotonic()
             self._paced = max(self._paced, now - LONGEST_LAG)
             for _ in range(MAX_CYCLES):

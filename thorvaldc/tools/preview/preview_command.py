@@ -42,6 +42,7 @@ def preview(
         report = Report()
         read_file(Path(file), file, report)
         return diagnostic_output.show_report(report, {})
+    folders = options.library_folders(library)
     try:
         from thorvaldc.tools.preview.compiled_robot import CompiledRobot
         from thorvaldc.tools.preview.preview_server import HOST, PreviewServer
@@ -52,7 +53,7 @@ def preview(
             f"the preview needs {error.name}, which is not installed: {install_command('preview')}"
         ) from None
     gc.enable()
-    server = PreviewServer(CompiledRobot(Path(file), options.library_folders(library), trust))
+    server = PreviewServer(CompiledRobot(Path(file), folders, trust))
 
     def started() -> None:
         print(server.url, flush=True)

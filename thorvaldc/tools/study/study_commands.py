@@ -52,10 +52,10 @@ def run_study(
     process_count = options.parse_count(jobs, "--jobs", 1) or processors()
     address = study_run.parse_scheduler(scheduler)
     gc.enable()
-    required("duckdb")
     run = study_run.plan_study(study, library, trust)
     if run is None:
         return INPUT
+    required("duckdb")
     folder = study_results.results_folder(run.inputs.study.name, output)
     journal = study_run.StudyJournal(folder)
     run.replay(journal.results)  # the table is whole, also if there is no cluster
@@ -165,13 +165,13 @@ def write_report(
     from thorvaldc.tools.study.study_definition import required
     from thorvaldc.tools.study.study_results import StudyTable
 
-    required("plotly")
-    fault = study_report.picture_fault()  # before MuJoCo is imported
     if output:
         options.check_output(output, ["html", "htm"], "--output")
     run = study_run.plan_study(study, library, trust)
     if run is None:
         return INPUT
+    required("plotly")
+    fault = study_report.picture_fault()  # before MuJoCo is imported
     folder = study_results.results_folder(run.inputs.study.name, results)
     missing = f"the designs have no results in {folder}; `thorvaldc study run {study}` evaluates"
     try:

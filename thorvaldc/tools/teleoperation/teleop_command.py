@@ -15,6 +15,7 @@ from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.diagnostics.installation import install_command
 
 if TYPE_CHECKING:
+    from thorvaldc.cli.robot_file import LoadedRobot
     from thorvaldc.model import Robot
     from thorvaldc.runtime.teleop_loop import Vehicle
     from thorvaldc.tools.teleoperation.joystick import Search
@@ -78,6 +79,7 @@ def teleop(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
+    from thorvaldc.cli import robot_file
     from thorvaldc.runtime.pace import end_signals
     from thorvaldc.tools.teleoperation.keyboard import drive_from_console
 
@@ -92,14 +94,15 @@ def teleop(
     share = _parse_share(speed)
     if map and not joystick:
         raise typer.BadParameter("is for a --joystick", param_hint="'--map'")
+    loaded = robot_file.load_robot(file, library, trust) if file else None
+    if file and loaded is None:
+        return INPUT
     search = _joystick_search(joystick, map) if joystick else None
     if search is None and not sys.stdin.isatty():
         raise OutsideError("the keyboard needs a terminal, and standard input is none")
     gc.enable()
     with end_signals() as end_requested, contextlib.ExitStack() as locks:
-        vehicle = _connect(to) if to else _start_driver(file, on, name, library, trust, locks)
-        if vehicle is None:
-            return INPUT
+        vehicle = _start_driver(loaded, file, on, name, locks) if loaded else _connect(to)
         try:
             _check_source(source, vehicle.call("description"))
             drive_from_console(vehicle, source, share, search, end_requested)
@@ -126,24 +129,13 @@ def _connect(name: str) -> Vehicle:
 
 
 def _start_driver(
-    file: str,
-    on: str,
-    name: str,
-    library: list[str],
-    trust: bool,
-    locks: contextlib.ExitStack,
-) -> Vehicle | None:
-    """Starts a base driver for the robot in this process.
-
-    If the robot file has errors, the function prints the errors and returns ``None``.
-    """
+    loaded: LoadedRobot, file: str, on: str, name: str, locks: contextlib.ExitStack
+) -> Vehicle:
+    """Starts a base driver for the robot in this process."""
     from thorvaldc.can.open_interface import lock_buses
-    from thorvaldc.cli import diagnostic_output, robot_file
+    from thorvaldc.cli import diagnostic_output
     from thorvaldc.diagnostics import DiagnosticError
 
-    loaded = robot_file.load_robot(file, library, trust)
-    if loaded is None:
-        return None
     robot = loaded.robot
     channel = name or robot.name
     try:
