@@ -293,6 +293,42 @@ def test_limits_hold_at_every_tick(name: str, data: st.DataObject) -> None:
             states = JointStates(0.0, list(command.joints.speeds), before, [0.0] * n)
 
 
+speeds = st.floats(-20.0, 20.0)
+
+
+@SETTINGS
+@given(data=st.data())
+def test_a_stop_only_slows_down(name: str, data: st.DataObject) -> None:
+    """Whatever is measured and however late a cycle is; a measurement may only slow it further."""
+    calculator = draw_robot(data, name)
+    calculator.decelerations = (1.5, 1.0)
+    n, dt = len(calculator.geometry.wheels), 0.02
+    states = JointStates(0.0, [0.0] * n, [0.0] * n, [0.0] * n)
+    calculator.reset(states)
+    for _ in range(data.draw(st.integers(5, 40))):
+        command = calculator.command(data.draw(twists, label="twist"), states, dt)
+        states = JointStates(0.0, command.joints.speeds, command.joints.angles, [0.0] * n)
+    last, angles = list(command.joints.speeds), command.joints.angles
+    stopped = False
+    for cycle in range(400):
+        late = data.draw(st.sampled_from((1, 1, 1, 2, 11))) if cycle < 12 else 1
+        measured = None
+        if cycle < 12 and data.draw(st.booleans()):
+            feedback = data.draw(st.lists(speeds, min_size=n, max_size=n))
+            measured = JointStates(0.0, feedback, angles, [0.0] * n)
+        command = calculator.stop(late * dt, measured)
+        for i, (before, speed) in enumerate(zip(last, command.joints.speeds, strict=True)):
+            assert abs(speed) <= abs(before)
+            assert speed * before >= 0.0
+            if measured is not None and calculator.geometry.wheels[i].encoder:
+                assert abs(speed) <= abs(measured.speeds[i])
+        stopped = command.twist == ZERO_TWIST and not any(command.joints.speeds)
+        if stopped and command.joints.angles == angles:
+            break
+        last, angles = list(command.joints.speeds), command.joints.angles
+    assert stopped
+
+
 @SETTINGS
 @given(data=st.data())
 def test_order_of_the_wheels_does_not_matter(name: str, data: st.DataObject) -> None:

@@ -5,22 +5,29 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import combinations
 
 import pytest
 
 from tests.model.stops import stop_bound
+from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import compiled
 from thorvaldc.model import ParameterSet, Robot
+from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.model.stopping import (
     DRIVER_DEAD,
     KINDS,
+    STOP_LOCK,
+    motor_nodes,
     reachable_speed,
     shortest_watchdog,
     stop_bounds,
 )
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
+from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
 SLOW_TURNS = "max_linear_velocity: 0.8 m/s, max_angular_velocity: 0.1 rad/s"
 _CIA402 = ", params: {controller: controller/cia402_propulsion_steering}"
@@ -139,22 +146,28 @@ def test_sources_get_the_derived_time_out() -> None:
 # -- simulated stops ---------------------------------------------------------------------------
 
 
-def travelled(rig: Rig, start: float = 0.0) -> float:
-    """Returns the mean true distance (m) of the driven wheels; runs until they stand."""
-    wheels = [w for w in rig.robot.wheels if w.driven]
-    motors = [
-        (rig.simulated.motors[actuator.name], wheel.radius)
-        for wheel in wheels
+def positions(rig: Rig) -> list[float]:
+    """Returns the true way (m) of each driven wheel at the ground."""
+    return [
+        rig.simulated.motors[actuator.name].read(rig.now).position * wheel.radius
+        for wheel in rig.robot.wheels
         if (actuator := rig.robot.actuator_of(wheel.spin_joint)) is not None
     ]
-    before = [motor.read(rig.now).position for motor, _ in motors]
+
+
+def way(before: list[float], after: list[float]) -> float:
+    """Returns the mean way (m) of the wheels."""
+    return sum(abs(b - a) for a, b in zip(before, after, strict=True)) / len(before)
+
+
+def travelled(rig: Rig) -> float:
+    """Returns the mean true distance (m) of the driven wheels; runs until they stand."""
+    before = positions(rig)
     limit = rig.now + 5.0
     while rig.speed() > 0.0 and rig.now < limit:
         rig.simulated.run(0.01)
     assert rig.speed() == 0.0
-    after = [motor.read(rig.now).position for motor, _ in motors]
-    ways = [abs(b - a) * radius for a, b, (_, radius) in zip(before, after, motors, strict=True)]
-    return sum(ways) / len(ways)
+    return way(before, positions(rig))
 
 
 @pytest.mark.parametrize("make", [robot, cia402], ids=["Thorvald script", "CiA 402"])
@@ -184,6 +197,65 @@ def test_commands_that_stop(make: Callable[[str], Robot]) -> None:
     start = rig.driven.driver.state.pose.x
     rig.until(lambda: rig.state is BaseState.READY and rig.speed() == 0.0, 5.0)
     assert rig.driven.driver.state.pose.x - start <= 0.7
+
+
+GRID = list(combinations(range(0, 40, 6), 2))
+"""Control cycles of a stop after which two gaps begin."""
+
+
+@pytest.mark.parametrize("make", [robot, cia402], ids=["Thorvald script", "CiA 402"])
+@pytest.mark.parametrize("grid", [[(5, 8)], pytest.param(GRID, marks=pytest.mark.slow)])
+def test_a_stop_with_two_gaps_keeps_its_bound(
+    make: Callable[[str], Robot], grid: list[tuple[int, int]]
+) -> None:
+    """The reports are too old in the cycle after a gap, and show the late wheels in the next."""
+    model, gap = make(""), 0.22
+    bound = stop_bound(model, STOP_LOCK)
+    for pair in grid:
+        rig = Rig(model)
+        rig.drive(Twist(1.4, 0.0, 0.0), 3.0)
+        rig.driven.lock(model.twist_locks[0].name)
+        commands: list[float] = []
+        start, before = rig.now, positions(rig)
+        for cycles in (pair[0], pair[1] - pair[0]):
+            rig.driven.run(rig.now + cycles * rig.driven.period, watch=fastest(commands))
+            rig.stall(gap)
+        rig.driven.run(
+            rig.now + 3.0, watch=fastest(commands), stop=lambda rig=rig: rig.speed() == 0.0
+        )
+        assert commands == sorted(commands, reverse=True), pair
+        assert rig.now - start <= bound.time + 2.0 * gap, pair
+        assert way(before, positions(rig)) <= bound.distance + 1.4 * 2.0 * gap, pair
+
+
+@pytest.mark.parametrize("make", [robot, cia402], ids=["Thorvald script", "CiA 402"])
+def test_a_stop_with_frozen_reports_keeps_its_bound(make: Callable[[str], Robot]) -> None:
+    """All drives report the speed at which the stop began, and obey."""
+    model = make("")
+    bound = stop_bound(model, STOP_LOCK)
+    rig = Rig(model)
+    rig.drive(Twist(1.4, 0.0, 0.0), 3.0)
+    injector = FaultInjector(rig.simulated, BusFaults(()))
+    for bus, node in motor_nodes(model):
+        injector.inject(BusFault("frozen_reports", bus.name, node.name, 0.0, None, SPAN))
+    rig.run(0.1)
+    rig.driven.disarm()
+    start, before = rig.now, positions(rig)
+    commands: list[float] = []
+    rig.driven.run(rig.now + 3.0, watch=fastest(commands), stop=lambda: rig.speed() == 0.0)
+    assert commands == sorted(commands, reverse=True)
+    assert rig.now - start <= bound.time
+    assert way(before, positions(rig)) <= bound.distance
+
+
+def fastest(commands: list[float]) -> Callable[[object, DriverState], None]:
+    """Returns a function that notes the fastest commanded wheel of each control cycle."""
+
+    def note(_: object, state: DriverState) -> None:
+        assert state.command is not None
+        commands.append(max(map(abs, state.command.joints.speeds)))
+
+    return note
 
 
 def test_derived_watchdogs_cause_no_fault() -> None:

@@ -12,6 +12,8 @@ from collections.abc import Callable
 from typing import Any
 
 from tests.ros.topic_rig import TopicRig, stamp
+from thorvaldc.model.stopping import STOP_LOCK, stop_bounds
+from thorvaldc.ros.topic_base import LONGEST_STILL
 
 
 def main() -> None:
@@ -55,7 +57,7 @@ def silence(rig: TopicRig) -> None:
     rig.silence(0.6)
     rig.spin_until(lambda: not any(rig.commands.speeds))
     assert rig.fault().startswith("no joint states on /")
-    assert rig.robot.driver.state.mode.value == "held"
+    assert rig.robot.driver.state.mode.value in ("fault", "waiting")
     assert not rig.robot.armed
     assert len(rig.odometry) == published
     assert refusal(lambda: rig.robot.call("reset_faults")) == rig.fault()
@@ -115,12 +117,25 @@ def wrong_messages(rig: TopicRig, change: Callable[[Any], None], reason: str) ->
 
 
 def joints_that_do_not_move(rig: TopicRig) -> None:
-    for _ in range(40):
+    """The joint states stay frozen at full speed; the last command ends in a ramp all the same."""
+    bound = {stop.kind: stop for stop in stop_bounds(rig.model)}[STOP_LOCK]
+    way, fault_at, last = 0.0, math.nan, list(rig.commands.speeds)
+    begin = rig.now
+    while any(rig.commands.speeds):
         rig.send(0.5)
         rig.cycle()
+        way += max(map(abs, rig.commands.speeds)) * rig.model.wheels[0].radius * rig.robot.period
+        if rig.fault():
+            fault_at = min(rig.now, fault_at)
+            pairs = zip(rig.commands.speeds, last, strict=True)
+            assert all(abs(speed) <= abs(before) + 1e-12 for speed, before in pairs)
+        last = list(rig.commands.speeds)
+        assert rig.now - begin < LONGEST_STILL + bound.time, rig.commands.speeds
+    assert any(rig.states.speeds), "they are frozen while they turn"
+    assert fault_at - begin < LONGEST_STILL + 2.5 * rig.robot.period
+    assert way < 0.5 * LONGEST_STILL + bound.distance
     assert "do not change, although the wheels are commanded to turn" in rig.fault(), rig.fault()
-    rig.drive(0.5, 40)
-    assert not any(rig.commands.speeds)
+    assert rig.fault() in refusal(lambda: rig.robot.call("arm"))
 
 
 def a_jump_back(rig: TopicRig) -> None:

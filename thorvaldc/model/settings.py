@@ -96,6 +96,16 @@ class DriverSettings(Element):
     arming_timeout: si.Seconds = ARMING_TIMEOUT
     homing: str = ON_ARMING
 
+    @property
+    def top_speeds(self) -> tuple[float, float]:
+        """Linear (m/s) and angular (rad/s) limit of the twist."""
+        return self.max_linear_velocity, self.max_angular_velocity
+
+    @property
+    def decelerations(self) -> tuple[float, float]:
+        """Linear (m/s^2) and angular (rad/s^2) deceleration of a stop."""
+        return self.max_linear_deceleration, self.max_angular_deceleration
+
 
 class ParameterSet(Element):
     """A named set of parameters that the driver can select while the robot drives.

@@ -9,7 +9,8 @@ last one, and its time is their stamp::
     silence                                   |<- 0.1 ->|
 
 While the time of the other program stands, nothing happens.  While it goes on without joint states,
-the base is in a fault, which a person must reset.
+the base is in a fault, which a person must reset.  The other program keeps the last commands, so
+that the base driver stops the robot by its commands in a fault, too.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from rclpy.duration import Duration
@@ -129,11 +131,7 @@ class TopicBase(BaseHandle):
 
     def _note_change(self, last: JointStates | None, states: JointStates) -> None:
         """Puts the base into a fault if the joints are commanded to move and do not change."""
-        is_same = last is not None and (last.positions, last.angles, last.speeds) == (
-            states.positions,
-            states.angles,
-            states.speeds,
-        )
+        is_same = last is not None and replace(last, time=states.time) == states
         if not (is_same and self._moves):
             self._changed = states.time
         elif states.time - self._changed > LONGEST_STILL:
@@ -199,11 +197,16 @@ class TopicBase(BaseHandle):
 
     @property
     def hold_reason(self) -> str:
-        if self._fault:
-            return self._fault
-        if self._states is None:
-            return self._refusal or f"no joint states have come on {self._topic} yet"
-        return ""
+        refusal = self._refusal or f"no joint states have come on {self._topic} yet"
+        return refusal if self._states is None else ""
+
+    @property
+    def disarming_reason(self) -> str:
+        return self._fault
+
+    @property
+    def _problem(self) -> str:
+        return self._fault or self.hold_reason
 
     @property
     def lacks_joint_states(self) -> bool:
@@ -230,7 +233,7 @@ class TopicBase(BaseHandle):
 
     def reset(self, now: float, commanded: bool) -> str:
         if self._silence > LONGEST_SILENCE:
-            return self.hold_reason
+            return self._problem
         if commanded:
             return "a motion is commanded; command zero first"
         self._fault = ""
@@ -238,14 +241,12 @@ class TopicBase(BaseHandle):
         return ""
 
     def values(self) -> dict[str, Any]:
-        return {"fault": self.hold_reason}
+        return {"fault": self._problem}
 
     def component_statuses(self, now: float) -> Iterable[ComponentStatus]:
         values = {"topic": self._topic, "messages": self._messages, "silence": self._silence}
-        if self.hold_reason:
-            yield ComponentStatus("joint topics", "error", self.hold_reason, values)
-        else:
-            yield ComponentStatus("joint topics", "ok", "ok", values)
+        level = "error" if self._problem else "ok"
+        yield ComponentStatus("joint topics", level, self._problem or "ok", values)
 
     def close(self) -> None:
         """Stops the drives, because the other program keeps the last commands."""

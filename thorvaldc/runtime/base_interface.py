@@ -159,7 +159,7 @@ class BaseHandle(abc.ABC):
 
     def arming_reasons(self, now: float) -> Iterable[str]:
         """Returns the reasons of the base against arming the robot at ``now`` (s)."""
-        return (self.hold_reason,) if self.hold_reason else ()
+        return filter(None, (self.hold_reason, self.disarming_reason))
 
     def home(self, now: float, *, again: bool = False) -> str:
         """Starts to home the steering joints, with ``again`` also those that are homed.

@@ -2,6 +2,9 @@
 
 In each tick, the driver reads the joints, integrates the odometry, limits and ramps the commanded
 twist, computes the joint commands, and writes the joint commands to the base.
+
+A stop has one state, the last commands of the wheels (``BaseCalculator.stop``).  They shrink to
+rest in every tick that does not drive, by the time since the last tick, whatever is measured.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from thorvaldc.model import DriverSettings, Robot
 from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates, ParameterError
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate, for_robot
-from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry
+from thorvaldc.runtime.odometry import Odometry
 from thorvaldc.runtime.pace import Gap, TimeGapRule, gap_text
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Cov3, Pose2, Twist
@@ -121,6 +124,7 @@ class BaseDriver:
         self.calculator = calculator or for_robot(robot).with_parameters(
             self.parameters.radii, self.parameters.noise
         )
+        self.calculator.decelerations = self.settings.decelerations
         self._staged: tuple[Parameters, BaseCalculator] | None = None
         self.speed_share = 1.0
         """Share (0 to 1) of the limits of the twist that the robot may use, for example less than 1
@@ -133,8 +137,12 @@ class BaseDriver:
         self.permission = MotionPermission()
         geometry = self.calculator.geometry
         self._ramp = Ramp(self.settings, geometry.length, geometry.steering_time)
+        self._follows = False
+        """``True`` if the joints follow the commands: these begin at the measured angles."""
+        self._may_have_braked = False
+        """``True`` from a gap in time until joint states show how fast the wheels still turn."""
         self._lasting_difference = LastingDifference(geometry)
-        self.odometry = Odometry(self.calculator, self._top_speeds)
+        self.odometry = Odometry(self.calculator, self.settings.top_speeds)
         self.state = DriverState(
             -math.inf,
             DriveMode.IDLE,
@@ -201,10 +209,6 @@ class BaseDriver:
         """Settings of the driver in the active parameter set, such as limits and timeouts."""
         return self.parameters.settings
 
-    @property
-    def _top_speeds(self) -> tuple[float, float]:
-        return self.settings.max_linear_velocity, self.settings.max_angular_velocity
-
     def use(self, parameters: str | None) -> None:
         """Switches to a parameter set of the robot file.
 
@@ -260,8 +264,9 @@ class BaseDriver:
             self.parameters, calculator = self._staged
             self._staged = None
             calculator.resume(self.calculator)
+            calculator.decelerations = self.settings.decelerations
             self.calculator = self.odometry.calculator = calculator
-            self.odometry.top_speeds = self._top_speeds
+            self.odometry.top_speeds = self.settings.top_speeds
             self._ramp.settings = self.settings
 
     def reset_pose(self, pose: Pose2 = ORIGIN) -> None:
@@ -289,34 +294,32 @@ class BaseDriver:
         if joints is None:
             joints = self.base.read(now)
         gap = self.gap_at(now)
-        first_joints = odometry.joints is None
         unusable = self._measure(joints, now)
         self._apply_staged_parameters()
         mode, commanded_twist, hold_reason = self._mode(now, gap, unusable)
-        restarts = self._restart_ramp(mode, gap, elapsed, None if unusable else joints)
-        # After a gap the ramp has gone on already, and the wheels have had all that time to follow.
-        wheel_period = elapsed if elapsed <= LONGEST_INTERVAL else 1.0 / self.settings.rate
-        period = wheel_period if gap is Gap.NONE else 1.0 / self.settings.rate
-        last = None if restarts else previous.command
-        infeasible = ZERO_TWIST
-        if unusable:
-            # Without joint states the motion of the wheels is unknown, and the twist ramps down to
-            # zero.
-            ramped = self._ramp.follow(ZERO_TWIST, period, last)
-            command = self.calculator.command(ramped, None, wheel_period)
-        else:
-            if first_joints or restarts or previous.mode is DriveMode.HELD:
-                # Steering joints may have moved since the last tick in which they were held.
+        self._may_have_braked = self._may_have_braked or gap is not Gap.NONE
+        measured = joints if self._may_have_braked and not unusable else None
+        last = previous.command if self._follows else None
+        if not unusable:
+            self._may_have_braked = False
+            if mode is DriveMode.HELD or not self._follows:
+                # The base has held the joints until now, and may have moved them.
                 self.calculator.reset(joints)
+                self._ramp.restart(ZERO_TWIST)
+                self._follows = mode is not DriveMode.HELD
+        period = elapsed if math.isfinite(elapsed) else 1.0 / self.settings.rate
+        infeasible = goal = ZERO_TWIST
+        if commanded_twist != ZERO_TWIST:
             feasible = self.calculator.feasible(commanded_twist)
             if feasible is not commanded_twist:
-                infeasible = Twist(
-                    commanded_twist.vx - feasible.vx,
-                    commanded_twist.vy - feasible.vy,
-                    commanded_twist.wz - feasible.wz,
-                )
-            ramped = self._ramp.follow(self._limited(feasible), period, last)
-            command = self.calculator.command(ramped, joints, wheel_period)
+                infeasible = commanded_twist.minus(feasible)
+            goal = self._limited(feasible)
+        if goal == ZERO_TWIST:
+            command = self.calculator.stop(period, measured)
+        else:
+            command = self.calculator.command(self._ramp.follow(goal, period, last), joints, period)
+        if goal == ZERO_TWIST or command.must_stop:
+            self._ramp.restart(command.twist)
         self.base.write(command.joints, now)
         not_followed = ""
         if mode is DriveMode.DRIVING:
@@ -386,29 +389,6 @@ class BaseDriver:
         if self._commanded_twist == ZERO_TWIST and self._ramp.twist == ZERO_TWIST:
             return DriveMode.IDLE, ZERO_TWIST, ""
         return DriveMode.DRIVING, self._commanded_twist, ""
-
-    def _restart_ramp(
-        self, mode: DriveMode, gap: Gap, elapsed: float, joints: JointStates | None
-    ) -> bool:
-        """Restarts the ramp where the wheels may not have followed it; returns whether it did.
-
-        A base that does not follow joint commands stops the robot itself, so that the ramp starts
-        from rest afterwards.  After a gap in time the ramp goes on by the whole time of the gap,
-        and from the measured twist as soon as ``joints`` are measured.
-        """
-        ramp = self._ramp
-        if mode is DriveMode.HELD:
-            ramp.restart(ZERO_TWIST)
-            ramp.unconfirmed = False
-            return True
-        if gap is not Gap.NONE:
-            ramp.step(ZERO_TWIST, elapsed - 1.0 / self.settings.rate)
-            ramp.unconfirmed = True
-        if ramp.unconfirmed and joints is not None:
-            # The mean twist of the gap would be too fast; the present speeds of the wheels count.
-            ramp.confirm(self._limited(self.calculator.odometry(joints).twist))
-            return True
-        return False
 
     def _not_followed(
         self,

@@ -44,6 +44,10 @@ class Twist(NamedTuple):
         """Returns the twist with each component multiplied by ``factor``."""
         return Twist(self.vx * factor, self.vy * factor, self.wz * factor)
 
+    def minus(self, other: Twist) -> Twist:
+        """Returns the difference to another twist."""
+        return Twist(self.vx - other.vx, self.vy - other.vy, self.wz - other.wz)
+
     def towards(self, other: Twist, share: float) -> Twist:
         """Returns the twist at a share of the straight line from this twist to ``other``."""
         (ux, uy, uw), (vx, vy, wz) = self, other

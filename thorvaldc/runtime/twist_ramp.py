@@ -29,8 +29,8 @@ class Ramp:
     rotation therefore does not move.  At a corner of the straight ramp, however, steering joints
     would have to reach their full steering rate in zero time.  The attribute ``twist`` is therefore
     the mean of the straight ramp over the last ``smoothing`` s, the time that steering joints need
-    to reach their full rate.  A twist ramp to zero is not smoothed, so that the stop begins in the
-    same tick.  During a stop, the wheels keep their directions.
+    to reach their full rate.  A stop is no ramp of a twist: the calculator takes the last commands
+    of the wheels to rest, and the ramp restarts from their twist.
 
     While a step makes the twist smaller, the decelerations of the robot file take the place of
     a_max and alpha_max; no program can change them at run time.  The yaw rate is multiplied by
@@ -43,43 +43,15 @@ class Ramp:
         self._length = length
         count = 1 + round(min(smoothing, LONGEST_SMOOTHING) * settings.rate)
         self._history = [ZERO_TWIST] * count
-        self._turns_around = False
-        self.unconfirmed = False
-        """``True`` from a gap in time until ``confirm``.
-
-        The drives may have braked meanwhile, and a ramp from the remembered twist would accelerate
-        the robot.
-        """
 
     def follow(self, goal: Twist, dt: float, last: BaseCommand | None) -> Twist:
         """Moves the twist ramp one step of ``dt`` s towards the twist ``goal``.
 
-        If a steered wheel must turn around, the twist ramp moves towards zero instead.  ``last``:
-        previous command that the wheels follow, or ``None`` after a restart of the ramp.
+        ``last``: previous command that the wheels follow, or ``None`` before the first one.
         """
-        if last is None:
-            self._turns_around = False
-            return self.step(goal, dt)
-        if last.must_stop != self._turns_around:
-            self._turns_around = last.must_stop
-            self.restart(last.twist if last.must_stop else ZERO_TWIST)
-        if goal != ZERO_TWIST or self._is_ahead(last.twist):
+        if last is not None:
             self.limit_lead(last.target, last.twist, last.aligned, last.infeasible)
-        return self.step(ZERO_TWIST if self._turns_around else goal, dt, last.scale == 1.0)
-
-    def _is_ahead(self, actual: Twist) -> bool:
-        """Checks whether the twist ramp is faster than the wheels.
-
-        A stop does not wait for wheels that are late: after a gap in time, the ramp would go back
-        to their speed, and the stop would take longer than the ramp.
-        """
-        return self._product(actual, actual) <= self._product(self.twist, self.twist)
-
-    def confirm(self, measured: Twist) -> None:
-        """Continues after a gap in time from the ``measured`` twist if the ramp is faster."""
-        self.unconfirmed = False
-        if self._product(measured, measured) < self._product(self.twist, self.twist):
-            self.restart(measured)
+        return self.step(goal, dt, last is None or last.scale == 1.0)
 
     def step(self, goal: Twist, dt: float, grows: bool = True) -> Twist:
         """Moves the twist ramp towards ``goal`` for ``dt`` s and returns the new twist.
@@ -92,10 +64,6 @@ class Ramp:
             size, limit = self._product(goal, goal), self._product(self.twist, self.twist)
             if size > limit:
                 goal = goal.scaled(math.sqrt(limit / size))
-        if goal == ZERO_TWIST:
-            if self.twist != ZERO_TWIST:
-                self.restart(self._straight(self.twist, goal, dt))
-            return self.twist
         last = history[-1]
         if goal == last:
             if history[0] == last and history.count(last) == len(history):

@@ -375,7 +375,8 @@ def test_commanded_twist_fits_the_wheel_speeds_while_wheels_turn_and_accelerate(
                 turning = sum(a * b for a, b in zip(rolling, command.twist, strict=True))
                 gap = speed * w.radius + w.lateral * w.sign * rate - turning
                 slope = [s + gap * row for s, row in zip(slope, rolling, strict=True)]
-            assert holding or max(map(abs, slope)) < 0.02
+            # While it stops, the pushes of joints that no longer turn fade with all speeds.
+            assert holding or command.must_stop or max(map(abs, slope)) < 0.02
             assert max(map(abs, command.twist)) < 3.0
             states = JointStates(0.0, command.joints.speeds, angles, rates)
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 
 from tests.conformance.wheels import wheel
-from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry
 from thorvaldc.runtime.calculators.steering_branch import DriveMotors
 from thorvaldc.runtime.se2 import Twist
@@ -63,12 +62,11 @@ def test_all_changes_are_scaled_to_the_acceleration_of_one(
     speeds: list[float], share: float
 ) -> None:
     drive_motors = motors()
-    states = JointStates(0.0, [0.0, 1.0, -1.0], [0.0] * 3, [0.0] * 3)
-    start = Twist(0.2, 0.1, 0.4)
-    drive_motors.reset(states, start)
-    requested = [v + v0 for v, v0 in zip(speeds, states.speeds, strict=True)]
+    start, last = Twist(0.2, 0.1, 0.4), [0.0, 1.0, -1.0]
+    drive_motors.limit_accelerations(start, last, None)
+    requested = [v + v0 for v, v0 in zip(speeds, last, strict=True)]
     twist, limited = drive_motors.limit_accelerations(TWIST, requested, 0.5)
-    expected = [v0 + share * v for v, v0 in zip(speeds, states.speeds, strict=True)]
+    expected = [v0 + share * v for v, v0 in zip(speeds, last, strict=True)]
     assert limited == pytest.approx(expected)
     assert drive_motors.commanded_speeds == limited
     ends = zip(start, TWIST, strict=True)

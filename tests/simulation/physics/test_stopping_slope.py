@@ -28,4 +28,5 @@ def test_the_closed_form_agrees_with_mujoco(case: Case) -> None:
 
 
 def test_a_robot_that_cannot_brake_does_not_stop() -> None:
-    assert stopping_distances(Case("1wd1ws_rear", 15.0, False)) == (math.inf, math.inf)
+    # On 15 deg it turns aside first, and chance decides whether it comes to rest across the slope.
+    assert stopping_distances(Case("1wd1ws_rear", 16.0, False)) == (math.inf, math.inf)

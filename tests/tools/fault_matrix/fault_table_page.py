@@ -1,6 +1,7 @@
-"""The fault matrix of two robots with different drives, as on the page docs/faults.md.
+"""The tables of docs/faults.md: two robots with different drives, and joints behind topics.
 
-``python -m tests.tools.fault_matrix.fault_table_page`` writes the table into docs/faults.md.
+``python -m tests.tools.fault_matrix.fault_table_page`` writes the tables into docs/faults.md.  It
+writes nothing if a stop has no time and distance, or breaks another promise.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.simulation.bus.robots import ROBOTS
+from tests.tools.fault_matrix import joint_topic_faults
 from thorvaldc.diagnostics.text_layout import markdown_table
 from thorvaldc.model import Robot
 from thorvaldc.tools.fault_matrix.fault_matrix import (
@@ -26,6 +28,7 @@ from thorvaldc.tools.fault_matrix.fault_matrix import (
 
 PAGE = Path(__file__).parents[3] / "docs" / "faults.md"
 BEGIN, END = "<!-- made by tests/tools/fault_matrix/fault_table_page.py -->\n", "<!-- end -->\n"
+TOPICS = "<!-- made by tests/tools/fault_matrix/joint_topic_faults.py -->\n"
 
 
 def rows(drives: str, jobs: int = 1, *, batteries: bool = True) -> tuple[Robot, list[FaultRow]]:
@@ -58,18 +61,28 @@ def table() -> Iterator[str]:
     for drives in ROBOTS:
         robot, fault_rows = rows(drives, os.cpu_count() or 1)
         for row in fault_rows:
+            if not row.passed:
+                raise ValueError(f"{row.case.name}: {dict(row.broken)}")
             by_fault.setdefault(row.case.name, []).append(row_cells(robot, row))
     lines = [line for lines in by_fault.values() for line in lines]
     return markdown_table([HEADINGS, *lines], aligned=True)
+
+
+def replaced(page: str, begin: str, lines: Iterator[str]) -> str:
+    """Returns the page with other lines between ``begin`` and ``END``."""
+    head, _, tail = page.partition(begin)
+    return head + begin + "".join(f"{line}\n" for line in lines) + END + tail.partition(END)[2]
 
 
 def main() -> int:
     if sys.argv[1:]:
         print(json.dumps(list(cells(sys.argv[1]))))
         return 0
-    head, _, tail = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    lines = "".join(f"{line}\n" for line in table())
-    PAGE.write_text(head + BEGIN + lines + END + tail.partition(END)[2], encoding="utf-8")
+    page = replaced(PAGE.read_text(encoding="utf-8"), BEGIN, table())
+    topics = markdown_table(
+        [joint_topic_faults.HEADINGS, *joint_topic_faults.cells()], aligned=True
+    )
+    PAGE.write_text(replaced(page, TOPICS, topics), encoding="utf-8")
     return 0
 
 

@@ -40,7 +40,8 @@ def test_markdown(thorvaldc: Command) -> None:
     assert len({len(line) for line in table}) == 1, "the columns are aligned"
     cells = [cell.strip() for cell in table[2].split("|")[1:-1]]
     assert cells[:2] == ["EMCY message of a drive", "thorvald_roboteq"]
-    assert cells[3:6] == ["fault in 0.1 s"] * 3
+    assert cells[3] == "fault in 0.1 s; rest 0.0 s, 0.00 m"
+    assert all(cell.startswith("fault in 0.1 s; rest ") for cell in cells[4:6])
     assert cells[-1] == "none"
     assert lines[-1] == "All promises are kept."
 

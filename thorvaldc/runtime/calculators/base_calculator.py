@@ -47,8 +47,7 @@ class BaseCommand:
       reaches its target angle late.  All required rates are 0 if ``command`` is called without
       ``dt``.
     - ``must_stop``: ``True`` if a rolling wheel has to turn around its steering axis so far that
-      the robot must stop first.  All wheels hold their steering angles until the driver has ramped
-      the twist down to zero.
+      the robot must stop first.  The calculator stops the robot, whatever is commanded.
     - ``aligned``: ``True`` if every wheel is close enough to its target angle to roll.
     """
 
@@ -78,8 +77,9 @@ class BaseCalculator(abc.ABC):
     ``ValueError`` if an option is out of range.  A subclass also overrides ``unsuited_reason`` to
     reject robots that the calculator cannot drive.
 
-    ``checked_states``: joint states that the odometry has checked in this control cycle.  The
-    method ``command`` does not check them again.
+    - ``checked_states``: joint states that the odometry has checked in this control cycle.  The
+      method ``command`` does not check them again.
+    - ``decelerations``: linear (m/s^2) and angular (rad/s^2) deceleration of a stop.
     """
 
     name: ClassVar[str]
@@ -94,6 +94,7 @@ class BaseCalculator(abc.ABC):
         self.noise = noise or Noise()
         self.estimator = TwistEstimator(geometry, self.noise)
         self.checked_states: JointStates | None = None
+        self.decelerations = (math.inf, math.inf)
 
     @classmethod
     def unsuited_reason(cls, geometry: BaseGeometry) -> str | None:
@@ -129,6 +130,15 @@ class BaseCalculator(abc.ABC):
         After an error, the stored last joint command is unchanged.
         """
 
+    @abc.abstractmethod
+    def stop(self, dt: float, measured: JointStates | None = None) -> BaseCommand:
+        """Moves the last command towards rest for ``dt`` s.
+
+        No wheel becomes faster or reverses, whatever the joint states are, and the steering joints
+        come to rest too.  With ``measured``, the command of each wheel is at most its measured
+        speed.
+        """
+
     @property
     def commanded_speeds(self) -> Sequence[float] | None:
         """Last commanded wheel speeds (rad/s), or ``None`` if the calculator does not know them.
@@ -149,9 +159,8 @@ class BaseCalculator(abc.ABC):
     def reset(self, states: JointStates | None = None) -> None:
         """Discards the last joint command of the calculator.
 
-        After a reset, the calculator assumes that the joints have the joint states ``states``.
-        Without ``states``, the calculator assumes that all steering angles and wheel speeds are
-        zero.
+        After a reset, the last command is the steering angles of ``states`` and the speed 0 of all
+        wheels.  Without ``states``, all steering angles are zero.
         """
 
     def with_parameters(self, radii: Sequence[float], noise: Noise) -> Self:

@@ -121,14 +121,14 @@ class OneWheel(General):
         speed = states.speeds[i] * wheel.radius if states else 0.0
         steering.choose(vx - wz * wheel.y, vy + wz * wheel.x, wz, angle, speed)
         n = len(self.geometry.wheels)
-        speeds, angles, rates = [0.0] * n, [0.0] * n, [0.0] * n
+        speeds, rates = [0.0] * n, [0.0] * n
         if dt is not None:
             rates[i] = (steering.target - steering.angle) / dt
         if dt is None or wheel.max_rate == math.inf:
             steering.jump()
         else:
             steering.advance(dt, 1.0)
-        angles[i] = steering.angle
+        self._store_angles()
         angle = states.angles[i] if states else steering.angle
         rolling, _ = wheel.rows(angle)
         v = 0.0
@@ -147,9 +147,10 @@ class OneWheel(General):
         _, limited_speeds = self._motors.limit_accelerations(feasible, speeds, dt)
         v = limited_speeds[i] * wheel.radius
         current = self._motion(angle, v + wheel.lateral * turning, -wheel.trail * turning)
-        infeasible = Twist(twist.vx - vx, twist.vy - vy, twist.wz - wz)
+        self._motors.twist = current
+        infeasible = twist.minus(feasible)
         target = feasible.scaled(scale) if scale < 1.0 else feasible
-        joints = JointCommands(limited_speeds, angles)
+        joints = JointCommands(limited_speeds, self._angles)
         return BaseCommand(joints, target, current, infeasible, scale, unreachable, rates)
 
     def _motion(self, angle: float, rolls: float, slips: float) -> Twist:

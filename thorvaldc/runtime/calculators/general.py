@@ -57,8 +57,6 @@ five times the largest difference of the rolling speeds.
 """
 _SAME_SPEED: Final = 1e-12
 """Differences of rolling speeds (m/s) up to this limit are rounding errors."""
-_STANDING: Final = 1e-6
-"""A robot whose squared speed (m^2/s^2) is below this limit is at rest."""
 _ALIGNED: Final = math.radians(1.0)
 """Largest steering error (rad) of an aligned wheel: smaller ones do not change the wheel speeds."""
 
@@ -149,23 +147,20 @@ class General(BaseCalculator):
     def reset(self, states: JointStates | None = None) -> None:
         self._angles: tuple[float, ...] = self._zeros
         self._last_target = ZERO_TWIST
-        self._stopping = False
+        self._turns_around = False
         self._aligned = True
         self._reachable.reset()
         for joint in self._steering:
             joint.reset(states.angles[joint.wheels[0]] if states else 0.0)
         self._store_angles()
-        if states is None:
-            self._motors.reset()
-        else:
-            self._motors.reset(states, self.estimator.estimate(states).twist)
+        self._motors.reset()
 
     def resume(self, previous: Self) -> None:
         for joint, previous_joint in zip(self._steering, previous._steering, strict=True):
             joint.resume(previous_joint)
         self._angles = previous._angles
         self._last_target = previous._last_target
-        self._stopping, self._aligned = previous._stopping, previous._aligned
+        self._turns_around, self._aligned = previous._turns_around, previous._aligned
         self._reachable.resume(previous._reachable)
         self._motors.resume(previous._motors)
 
@@ -187,7 +182,7 @@ class General(BaseCalculator):
         unreachable: tuple[int, ...] = ()
         if not self._unconstrained:
             target, unreachable = self._reachable.project(twist)
-            infeasible = Twist(twist.vx - target.vx, twist.vy - target.vy, twist.wz - target.wz)
+            infeasible = twist.minus(target)
         rates: Sequence[float] = self._zeros
         if not self._steering:  # a shortcut: the steps below change nothing without steering joints
             target_speeds, scale = self._target_speeds(target)
@@ -200,18 +195,16 @@ class General(BaseCalculator):
         speeds: Sequence[float] = self._zeros
         if states is not None:
             angles, speeds = states.angles, states.speeds
-        last_twist = self._motors.twist
-        must_stop = self._stopping and self._square(last_twist) > _STANDING
-        if not must_stop:
+        if not self._turns_around:
             self._choose_angles(target, angles, speeds)
             rates, ticks, self._aligned = self._steering_delay(dt)
             if ticks > 1.0:
-                target, must_stop = self._slow_down(target, ticks, angles, speeds, dt)
-            if not must_stop:
-                self._last_target = target
-                if not self._unconstrained:
-                    self._reachable.keep(target)
-        self._stopping = must_stop
+                target, self._turns_around = self._slow_down(target, ticks, angles, speeds, dt)
+        if self._turns_around and dt is not None:
+            return self.stop(dt)
+        self._last_target = target
+        if not self._unconstrained:
+            self._reachable.keep(target)
         self._move_steering(dt)
         pushes = self._pushes() if self._pushing else None
         target_speeds, scale = self._target_speeds(target)
@@ -222,14 +215,10 @@ class General(BaseCalculator):
             angles = self._angles
         at_targets = True
         if dt is not None or states is not None:
-            goal, misalignment = target, self._misalignment(angles)
-            if must_stop:
-                misalignment = math.inf
-                if self._square(target) >= self._square(last_twist):
-                    goal = ZERO_TWIST
+            misalignment = self._misalignment(angles)
             at_targets = misalignment <= _ALIGNED
             if not at_targets:
-                current, target_speeds = self._least_scrub(goal, angles, misalignment, pushes)
+                current, target_speeds = self._least_scrub(target, angles, misalignment, pushes)
         unlimited = current
         current, limited_speeds = self._motors.limit_accelerations(
             current, target_speeds, dt, pushes
@@ -240,8 +229,20 @@ class General(BaseCalculator):
             self._motors.twist = current
         joints = JointCommands(limited_speeds, self._angles)
         return BaseCommand(
-            joints, target, current, infeasible, scale, unreachable, rates, must_stop, self._aligned
+            joints, target, current, infeasible, scale, unreachable, rates, False, self._aligned
         )
+
+    def stop(self, dt: float, measured: JointStates | None = None) -> BaseCommand:
+        for joint in self._steering:
+            joint.brake(dt)
+        self._store_angles()
+        pushes = self._pushes() if self._pushing else None
+        self._motors.brake(dt, self.decelerations, measured, pushes)
+        self._last_target = twist = self._motors.twist
+        must_stop = self._turns_around
+        self._turns_around = must_stop and twist != ZERO_TWIST
+        joints = JointCommands(self._motors.commanded_speeds, self._angles)
+        return BaseCommand(joints, twist, twist, ZERO_TWIST, 1.0, (), self._zeros, must_stop)
 
     def _square(self, twist: Twist) -> float:
         """Returns the squared size vx^2 + vy^2 + (length wz)^2 of a twist, in m^2/s^2.
@@ -353,16 +354,13 @@ class General(BaseCalculator):
             for joint in self._steering:
                 joint.jump()
         else:
-            slowest = 0.0
-            for joint in self._steering:
-                time = abs(joint.target - joint.angle) * joint.seconds_per_rad
-                if time > slowest:
-                    slowest = time
+            times = [abs(j.target - j.angle) * j.seconds_per_rad for j in self._steering]
+            slowest = max(times)
             # A steering joint that arrives within two ticks does not wait for the other steering
             # joints.
             together = slowest > 2.0 * dt and self.options.arrive_together
-            for joint in self._steering:
-                joint.advance(dt, joint.time_to_target() / slowest if together else 1.0)
+            for joint, time in zip(self._steering, times, strict=True):
+                joint.advance(dt, time / slowest if together else 1.0)
         self._store_angles()
 
     def _store_angles(self) -> None:

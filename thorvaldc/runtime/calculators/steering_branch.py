@@ -267,10 +267,6 @@ class SteeringJoint:
         best = (best_direction != self.direction, abs(best_angle), -best_angle)
         return candidate < best
 
-    def time_to_target(self) -> float:
-        """Returns the time (s) to reach the target angle at full steering rate."""
-        return abs(self.target - self.angle) * self.seconds_per_rad
-
     def advance(self, dt: float, share: float) -> None:
         """Moves the commanded steering angle towards the target for ``dt`` s, without overshoot.
 
@@ -323,6 +319,13 @@ class SteeringJoint:
         self.angle = self.target
         self.rate = 0.0
 
+    def brake(self, dt: float) -> None:
+        """Lets the commanded steering angle come to rest within its acceleration, in ``dt`` s."""
+        change = self._max_rate_change * dt
+        self.rate -= min(max(self.rate, -change), change)
+        self.angle = min(max(self.angle + self.rate * dt, self._lower), self._upper)
+        self.target = self.angle
+
 
 # -- limits of the drive motors -----------------------------------------------------------------
 #
@@ -347,20 +350,17 @@ class DriveMotors:
             for i, w in enumerate(geometry.wheels)
             if w.driven and not w.swivel
         )
+        self._encoders = tuple(i for i, w in enumerate(geometry.wheels) if w.encoder)
         self._shared = geometry.spin_groups
         self._zeros = (0.0,) * len(geometry.wheels)
         self.reset()
 
-    def reset(self, states: JointStates | None = None, twist: Twist = ZERO_TWIST) -> None:
-        """Sets the last commanded speeds to the measured speeds in ``states``.
-
-        ``twist`` is the twist that the measured wheel speeds produce.  Without ``states``, all
-        drive motors start from rest.
-        """
-        self._speeds: tuple[float, ...] = self._zeros if states is None else (*states.speeds,)
-        self.rolling_speeds: Sequence[float] = self._speeds
+    def reset(self) -> None:
+        """Lets all drive motors start from rest."""
+        self._speeds: tuple[float, ...] = self._zeros
+        self.rolling_speeds: Sequence[float] = self._zeros
         self._pushes: Sequence[float] = self._zeros
-        self.twist = twist
+        self.twist = ZERO_TWIST
 
     def resume(self, previous: DriveMotors) -> None:
         """Copies the last commanded wheel speeds and twist from ``previous``."""
@@ -371,6 +371,42 @@ class DriveMotors:
     def commanded_speeds(self) -> Sequence[float]:
         """Last commanded wheel speeds, rad/s."""
         return self._speeds
+
+    def brake(
+        self,
+        dt: float,
+        decelerations: tuple[float, float],
+        measured: JointStates | None,
+        pushes: Sequence[float] | None,
+    ) -> None:
+        """Moves the last command towards rest for ``dt`` s, the only place where a stop proceeds.
+
+        With the last commanded speeds w, their twist (v, wz), the decelerations (a, alpha) of the
+        robot and the accelerations b of the motors, the wheels reach rest together after
+
+            T = max(|v| / a, |wz| / alpha, max |w_i| / b_i)
+
+        and all commands shrink to the share 1 - dt / T of the last ones.  The command of a wheel
+        that turns more slowly in ``measured`` is the measured speed; a wheel that turns faster, or
+        backwards, raises and reverses nothing.  ``pushes``: part of the speeds (rad/s) that the
+        steering joints, which still turn, ask for; a later command goes on from it.
+        """
+        twist, speeds = self.twist, self._speeds
+        time = max(twist.speed / decelerations[0], abs(twist.wz) / decelerations[1])
+        for i, _, acceleration in self._limits:
+            time = max(time, abs(speeds[i]) / acceleration)
+        share = 1.0 - dt / time if dt < time else 0.0
+        braked = [share * v for v in speeds]
+        if measured is not None:
+            for i in self._encoders:
+                v, m = braked[i], measured.speeds[i]
+                braked[i] = min(v, max(m, 0.0)) if v > 0.0 else max(v, min(m, 0.0))
+            share = max((b / v for b, v in zip(braked, speeds, strict=True) if v), default=0.0)
+        self.reset()
+        if any(braked):
+            self._speeds, self.twist = (*braked,), twist.scaled(share)
+        self._pushes = pushes or self._zeros
+        self.rolling_speeds = [v - p for v, p in zip(self._speeds, self._pushes, strict=True)]
 
     def average_shared(self, speeds: list[float]) -> list[float]:
         """Sets the speeds of wheels that share a drive motor to their mean speed, in place."""

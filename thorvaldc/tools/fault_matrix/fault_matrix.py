@@ -134,10 +134,11 @@ def broken_limits(robot: Robot, case: FaultCase, phase: str, reaction: Reaction)
         problems.append(f"the driver does not stop the robot; {limit:.2f} s are promised")
     elif limit is not None and (reaction.after or 0.0) > limit:
         problems.append(f"the driver reacts after {reaction.after:.2f} s; promised: {limit:.2f} s")
-    must_stand = stopped or phase == fault_cases.STOPPING or case.must_stop
-    if phase in fault_cases.MOVING_PHASES and must_stand:
-        longest, farthest = rest_limit(robot, case, phase)
-        if math.isinf(longest):
+    moves = phase in fault_cases.MOVING_PHASES
+    must_stand = stopped or (moves and (phase == fault_cases.STOPPING or case.must_stop))
+    if must_stand and not case.motion:
+        longest, farthest = rest_limit(robot, case, phase) if moves else (math.inf, math.inf)
+        if moves and math.isinf(longest):
             pass  # nothing is promised
         elif reaction.rest_time is None or reaction.rest_distance is None:
             problems.append("the wheels still turn at the end of the observation")
@@ -290,7 +291,7 @@ SIMULATED = (
     "The reactions were measured on a simulated bus with simulated drives and motors. They do not"
     " replace tests on the hardware, and a stop in software is not a safety function."
 )
-HEADINGS = ("fault", "drives", *fault_cases.PHASES, "at rest", "promised", "unasked motion")
+HEADINGS = ("fault", "drives", *fault_cases.PHASES, "promised", "unasked motion")
 
 
 def matrix_json(matrix: FaultMatrix, rows: Sequence[FaultRow], file: str) -> dict[str, Any]:
@@ -385,31 +386,35 @@ def _swerve_text(bound: stopping.SwerveBound) -> str:
 
 def row_cells(robot: Robot, row: FaultRow) -> tuple[str, ...]:
     """Returns the cells of the table for one fault."""
-    phases = [_reaction(row.reactions.get(phase)) for phase in fault_cases.PHASES]
+    phases = [
+        reaction_text(row.reactions[phase]) if phase in row.reactions else ""
+        for phase in fault_cases.PHASES
+    ]
     moving = [(p, r) for p, r in row.reactions.items() if p in fault_cases.MOVING_PHASES]
-    rests = [r for _, r in moving if r.rest_time is not None]
-    rest = ""
-    if rests and len(rests) == len(moving):
-        time = max(r.rest_time or 0.0 for r in rests)
-        distance = max(r.rest_distance or 0.0 for r in rests)
-        rest = f"{_rounded_up(time, 10)} s, {_rounded_up(distance, 20)} m"
     unasked = max((r.unasked for r in row.reactions.values() if r.moved_unasked), default=None)
     return (
         row.case.name,
         row.case.drives,
         *phases,
-        rest,
         _promise(robot, row, moving),
         "none" if unasked is None else f"+{unasked:.2f} m/s",
     )
 
 
-def _reaction(reaction: Reaction | None) -> str:
-    if reaction is None:
-        return ""
-    if reaction.after is None:
+def reaction_text(reaction: Reaction) -> str:
+    """Returns the reaction with its time, and the time and the path until all wheels stand.
+
+    Without a stop, the text has the largest difference of the true and the commanded speeds.
+    """
+    if reaction.reaction == fault_reaction.NOT_SIMULATED:
         return reaction.reaction
-    return f"{reaction.reaction} in {_rounded_up(reaction.after, 10)} s"
+    after = "" if reaction.after is None else f" in {_rounded_up(reaction.after, 10)} s"
+    if reaction.rest_time is None or reaction.rest_distance is None:
+        rest = f"no stop, {_rounded_up(reaction.speed_error, 20)} m/s"
+    else:
+        rest = f"rest {_rounded_up(reaction.rest_time, 10)} s"
+        rest += f", {_rounded_up(reaction.rest_distance, 20)} m"
+    return f"{reaction.reaction}{after}; {rest}"
 
 
 def _promise(robot: Robot, row: FaultRow, moving: list[tuple[str, Reaction]]) -> str:

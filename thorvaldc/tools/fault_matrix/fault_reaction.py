@@ -41,9 +41,10 @@ class Reaction:
       ``ready`` at the end of a start-up.
     - ``after``: time (s) from the fault to the reaction, or ``None``.
     - ``reason``: message of the base driver.
-    - ``rest_time``: time (s) from the fault until all wheels stand, or ``None`` if they turn.
+    - ``rest_time``: time (s) from the fault until all wheels stand, or ``None`` without a stop.
     - ``rest_distance``: path (m) of the robot from the fault until all wheels stand, as the mean of
       the paths of the driven wheels at the ground.
+    - ``speed_error``: largest difference (m/s) of the true and the commanded speed of a wheel.
     - ``speed``: speed (m/s) of the fastest wheel at the time of the fault.
     - ``unasked``: largest increase (m/s) of the fastest wheel speed without a fresh command of an
       armed robot.
@@ -56,6 +57,7 @@ class Reaction:
     rest_distance: float | None
     speed: float
     unasked: float
+    speed_error: float = 0.0
 
     @property
     def moved_unasked(self) -> bool:
@@ -148,6 +150,7 @@ class _Observation:
         self._highest = self._commanded_speed()
         self._paths = [0.0] * len(self._last)
         self._rest: tuple[float, float] | None = None
+        self._speed_error = 0.0
         self._unasked = 0.0
         self._authority = True
         self._disarmed_at = math.inf
@@ -164,6 +167,8 @@ class _Observation:
     def observe(self) -> None:
         states = self.rehearsal.wheel_states()
         self._measure_rest(states)
+        for (_, speed), commanded in zip(states, self.rehearsal.commanded_speeds(), strict=True):
+            self._speed_error = max(self._speed_error, abs(speed - commanded))
         self._measure_unasked_motion([speed for _, speed in states])
         if not self.rehearsal.driver_killed:
             self._note_reactions()
@@ -207,12 +212,7 @@ class _Observation:
 
     def _commanded_speed(self) -> float:
         """Speed (m/s) of the fastest commanded wheel at the ground."""
-        rehearsal = self.rehearsal
-        command = rehearsal.driven.driver.state.command
-        if command is None:
-            return 0.0
-        wheels = zip(command.joints.speeds, rehearsal.robot.wheels, strict=True)
-        return max(abs(speed) * wheel.radius for speed, wheel in wheels)
+        return max(self.rehearsal.commanded_speeds(), default=0.0)
 
     def _note_reactions(self) -> None:
         rehearsal = self.rehearsal
@@ -256,14 +256,15 @@ class _Observation:
         if self.phase == fault_cases.START and name not in STOPS:
             name = "ready" if self._ready_at is not None else "waits"
         after = self._ready_at if name == "ready" else self.times.get(name)
-        moves = self.phase in fault_cases.MOVING_PHASES
-        rest_time, distance = self._rest if self._rest is not None else (math.nan, math.nan)
+        stops = name in STOPS or self.phase in fault_cases.MOVING_PHASES
+        rest_time, distance = self._rest if self._rest and stops else (None, None)
         return Reaction(
             name,
             after,
             self.reason if name in STOPS else "",
-            rest_time if moves and self._rest is not None else None,
-            distance if moves and self._rest is not None else None,
+            rest_time,
+            distance,
             self.speed,
             self._unasked,
+            self._speed_error,
         )

@@ -145,12 +145,14 @@ class Rehearsal:
         self._last_cycle = math.nan
         self._asked_until = -math.inf
         self.driven.before_cycle = lambda _: self._act()
-        self.wheels = [
-            (self.simulated.motors[actuator.name], wheel.radius)
-            for wheel in robot.wheels
+        driven = [
+            (i, self.simulated.motors[actuator.name], wheel.radius)
+            for i, wheel in enumerate(robot.wheels)
             if (actuator := robot.actuator_of(wheel.spin_joint)) is not None
             and actuator.name in self.simulated.motors
         ]
+        self.wheels = [(motor, radius) for _, motor, radius in driven]
+        self._driven = [(i, radius) for i, _, radius in driven]
         for name, wire in self.simulated.wires.items():
             wire.observers.append(self._recorder(name))
 
@@ -191,6 +193,13 @@ class Rehearsal:
             state = motor.read(now)
             states.append((state.position * radius, abs(state.velocity) * radius))
         return states
+
+    def commanded_speeds(self) -> list[float]:
+        """Returns the newest commanded speed (m/s) of each driven wheel at the ground."""
+        command = self.driven.driver.state.command
+        if command is None:
+            return [0.0] * len(self._driven)
+        return [abs(command.joints.speeds[i]) * radius for i, radius in self._driven]
 
     # -- time --------------------------------------------------------------------------------
 

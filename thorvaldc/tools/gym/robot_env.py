@@ -129,6 +129,10 @@ class DirectCommands(BaseCalculator):
         joints = JointCommands(tuple(self._commands.speeds), tuple(self._angles))
         return BaseCommand(joints, ZERO_TWIST, ZERO_TWIST, ZERO_TWIST, 1.0, ())
 
+    def stop(self, dt: float, measured: JointStates | None = None) -> BaseCommand:
+        """Goes on with the action, which no twist stops."""
+        return self.command(ZERO_TWIST, measured, dt)
+
     def odometry(self, states: JointStates) -> TwistEstimate:
         return self._odometer.odometry(states)
 

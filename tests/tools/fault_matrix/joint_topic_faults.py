@@ -1,0 +1,155 @@
+"""Faults of joints behind topics: the reactions in virtual time, for the page docs/faults.md."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+from tests.examples import example_robot
+from tests.model.stops import stop_bound
+from tests.ros.virtual_topics import PERIOD, VirtualTopics
+from thorvaldc.model import Robot
+from thorvaldc.model.stopping import STOP_LOCK
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.tools.fault_matrix.fault_cases import DRIVING, MOVING_PHASES, STOPPING
+from thorvaldc.tools.fault_matrix.fault_matrix import reaction_text
+from thorvaldc.tools.fault_matrix.fault_reaction import AT_REST, STOPS, Reaction
+
+ROBOT = "4wd4ws_wide"
+HEADINGS = ("fault", *MOVING_PHASES, "promised")
+OBSERVED = 3.0  # s
+Injection = Callable[[VirtualTopics], None]
+
+
+class TopicFault(NamedTuple):
+    """A fault; ``detection``: longest time (s) until the driver stops the robot, or none."""
+
+    name: str
+    inject: Injection
+    detection: float | None
+
+
+def lost(seconds: float) -> Injection:
+    """Returns the loss of all joint states for some time."""
+
+    def inject(rig: VirtualTopics) -> None:
+        end = rig.now + seconds + 1e-6
+        rig.change = lambda states: states if states.time > end else None
+
+    return inject
+
+
+def frozen(rig: VirtualTopics) -> None:
+    last = rig.engine.read(rig.now)
+    rig.change = lambda states: replace(last, time=states.time)
+
+
+def wrong(rig: VirtualTopics) -> None:
+    rig.change = lambda states: replace(states, speeds=[math.nan] * len(states.speeds))
+
+
+def is_reset(rig: VirtualTopics) -> None:
+    rig.offset -= 5.0
+
+
+def is_silent(rig: VirtualTopics) -> None:
+    rig.twist = None
+
+
+def is_disarmed(rig: VirtualTopics) -> None:
+    rig.driven.call("disarm")
+
+
+def robot() -> Robot:
+    return example_robot(ROBOT)
+
+
+def faults(robot: Robot) -> Iterator[TopicFault]:
+    timeout = robot.driver.command_timeout
+    yield TopicFault("no joint states", lost(math.inf), 0.1 + 2 * PERIOD)
+    yield TopicFault("no joint states for 0.06 s", lost(0.06), 0.1)
+    yield TopicFault("no joint states for 0.2 s", lost(0.2), 0.1 + 2 * PERIOD)
+    yield TopicFault("joint states that are not numbers", wrong, 0.1 + 2 * PERIOD)
+    yield TopicFault("frozen joint states", frozen, 0.5 + 2 * PERIOD)
+    yield TopicFault("the simulation is reset", is_reset, 2 * PERIOD)
+    yield TopicFault("client hangs", is_silent, timeout + 2 * PERIOD)
+    yield TopicFault("a person disarms the robot", is_disarmed, 2 * PERIOD)
+
+
+def react(robot: Robot, fault: TopicFault, phase: str) -> Reaction:
+    """Tries a fault at the top speed, or 0.1 s after zero was commanded."""
+    rig = VirtualTopics(robot)
+    twist = Twist(robot.driver.max_linear_velocity, 0.0, 0.0)
+    rig.drive(twist, 2.0)
+    if phase == STOPPING:
+        rig.twist = ZERO_TWIST
+        for _ in range(5):
+            rig.step()
+    start, before = rig.now, rig.wheels()
+    speed = max(v for _, v in before)
+    fault.inject(rig)
+    name, after, rest, error, unasked = "continues", None, None, 0.0, 0.0
+    while rig.now < start + OBSERVED:
+        rig.step()
+        wheels = rig.wheels()
+        fastest = max(v for _, v in wheels)
+        pairs = zip(wheels, rig.commanded, strict=True)
+        error = max(error, *(abs(v - commanded) for (_, v), commanded in pairs))
+        unasked = max(unasked, fastest - speed)
+        found = reaction_of(rig, phase)
+        if found in STOPS and name not in STOPS:
+            after = rig.now - start
+        name = found if found in STOPS else name
+        if fastest > AT_REST:
+            rest = None
+        elif rest is None:
+            paths = [a - b for (a, _), (b, _) in zip(wheels, before, strict=True)]
+            rest = rig.now - start, sum(map(abs, paths)) / len(paths)
+    time, path = rest or (None, None)
+    return Reaction(name, after, rig.driven.state()["fault"], time, path, speed, unasked, error)
+
+
+def reaction_of(rig: VirtualTopics, phase: str) -> str:
+    if rig.driven.state()["fault"]:
+        return "fault"
+    if not rig.driven.armed:
+        return "disarmed"
+    if phase == DRIVING and rig.driven.driver.state.commanded_twist == ZERO_TWIST:
+        return "stops"
+    return "continues"
+
+
+def rows() -> Iterator[tuple[TopicFault, dict[str, Reaction], list[str]]]:
+    """Yields each fault with its reactions by phase and the promises that they break."""
+    model = robot()
+    stop = stop_bound(model, STOP_LOCK)
+    for fault in faults(model):
+        reactions = {phase: react(model, fault, phase) for phase in MOVING_PHASES}
+        limit = fault.detection or 0.0
+        farthest = stop.distance + model.driver.max_linear_velocity * limit
+        broken = []
+        for phase, reaction in reactions.items():
+            if reaction.rest_time is None or reaction.rest_distance is None:
+                broken.append(f"{fault.name}, {phase}: the wheels still turn")
+            elif reaction.rest_time > stop.time + limit or reaction.rest_distance > farthest:
+                broken.append(f"{fault.name}, {phase}: {reaction_text(reaction)}")
+            if reaction.unasked > 1e-9:
+                broken.append(f"{fault.name}, {phase}: {reaction.unasked} m/s faster")
+        if (reactions[DRIVING].after or math.inf) > limit + 1e-6:
+            broken.append(f"{fault.name}: no reaction within {limit} s")
+        yield fault, reactions, broken
+
+
+def cells() -> Iterator[tuple[str, ...]]:
+    """Yields the cells of the table on the page.  Raises ``ValueError`` for a broken promise."""
+    model = robot()
+    stop = stop_bound(model, STOP_LOCK)
+    for fault, reactions, broken in rows():
+        if broken:
+            raise ValueError("; ".join(broken))
+        limit = fault.detection or 0.0
+        way = stop.distance + model.driver.max_linear_velocity * limit
+        promised = f"{limit:.2f} s, {stop.time + limit:.1f} s, {way:.2f} m"
+        yield fault.name, *(reaction_text(r) for r in reactions.values()), promised
