@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from tests.chaos import invariants
 from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryLevel, BatterySupervision
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.node_watchdog import ObjectSupervision
@@ -107,6 +108,7 @@ def _owned_stops() -> None:
 def _replace(owner: type, name: str, replacement: Callable[..., Any]) -> None:
     assert hasattr(owner, name), f"{owner.__name__} has no {name}"
     setattr(owner, name, replacement)
+    invariants.rules_are_whole = False
 
 
 def _batteries() -> None:

@@ -16,11 +16,15 @@ shortest one, and ``script`` writes it as a mission for tests/chaos.
 
 from __future__ import annotations
 
+import functools
+import json
 import math
+import re
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from thorvaldc.model import TwistInput
 from thorvaldc.model.settings import SAFETY_STOP
@@ -31,6 +35,7 @@ from thorvaldc.runtime.permission import (
     Answer,
     Base,
     LockState,
+    MotionPermission,
     Permission,
     Rules,
     SourceState,
@@ -67,14 +72,26 @@ class Configuration:
         return Rules(self.sources, self.locks, automatic=self.automatic, first_step=FIRST_STEP)
 
 
-CONFIGURATIONS = (
-    Configuration("two sources", (JOY, NAVIGATION), (STOP_LOCK, PAUSE_LOCK), forgets=True),
-    Configuration("a source that resumes", (JOY, RESUMING), (STOP_LOCK, PAUSE_LOCK)),
-    Configuration("two owners", (NAVIGATION,), (STOP_LOCK, TIMED_LOCK), ("a", "b"), faults=False),
-    Configuration("homing", (NAVIGATION,), (STOP_LOCK,), ("a", "b"), homes=True),
-    Configuration("automatic", (JOY, NAVIGATION), automatic=True, homes=True, faults=False),
-)
 SMALL = Configuration("one source", (NAVIGATION,), (STOP_LOCK, PAUSE_LOCK))
+CONFIGURATIONS = (
+    Configuration(
+        "two sources, all events",
+        (JOY, NAVIGATION),
+        (STOP_LOCK, PAUSE_LOCK),
+        homes=True,
+        forgets=True,
+    ),
+    Configuration("a source that resumes", (JOY, RESUMING), (STOP_LOCK, PAUSE_LOCK)),
+    Configuration(
+        "two programs, a timed lock",
+        (NAVIGATION,),
+        (STOP_LOCK, TIMED_LOCK),
+        ("a", "b"),
+        faults=False,
+    ),
+    Configuration("two programs that home", (NAVIGATION,), (STOP_LOCK,), ("a", "b"), homes=True),
+    Configuration("automatic arming", (JOY, NAVIGATION), automatic=True, homes=True),
+)
 
 
 class Judge(NamedTuple):
@@ -157,6 +174,7 @@ class _Explorer:
 
     def _actions(self) -> Iterator[tuple[str, Action]]:
         configuration, rules = self.configuration, self.rules
+        yield "a cycle", self._cycle(Base())
         for i, source in enumerate(configuration.sources):
             for owner in configuration.owners:
                 for twist, word in ((ZERO_TWIST, "zero"), (STEP, "a step"), (FAST, "a motion")):
@@ -188,7 +206,6 @@ class _Explorer:
             yield "a person homes", self._home
             yield "a cycle while it homes", self._cycle(Base(ready=False, homing=True))
             yield "a cycle before the homing", self._cycle(Base(ready=False, homed=False))
-        yield "a cycle", self._cycle(Base())
         yield "a cycle with an empty battery", self._cycle(Base(disarming="battery"))
         yield "time passes", _passes
         if configuration.forgets:
@@ -429,18 +446,107 @@ def _path(states: dict[State, tuple[State, str] | None], state: State) -> tuple[
     return tuple(reversed(names))
 
 
-if __name__ == "__main__":
-    import time
+# -- the values of a running robot ----------------------------------------------------------------
 
+
+@functools.cache
+def small_classes(automatic: bool) -> frozenset[Permission]:
+    """Returns what the explored values say about one source, see ``about_one_source``.
+
+    A source above the lock, and one that always commands zero first, have the same values.
+    """
+    small = Configuration("", SMALL.sources, SMALL.locks, automatic=automatic, homes=True)
+    return frozenset(about_one_source(value, 0) for value in explore(small).classes)
+
+
+def about_one_source(value: Permission, source: int) -> Permission:
+    """Returns what the class of a value says about one source; all programs are one.
+
+    It says nothing of what other sources change too: commands without a source, and when any
+    source was heard.
+    """
+    state = value.sources[source]
+    return value._replace(
+        sources=(state._replace(owner=_anybody(state.owner)),),
+        locks=tuple(
+            lock._replace(owners=tuple(sorted({_anybody(name) for name in lock.owners})))
+            for lock in value.locks
+        ),
+        arming_owner=_anybody(value.arming_owner),
+        heard_at=-math.inf,
+        void="",
+        void_at=-math.inf,
+    )
+
+
+def check_explored(permission: MotionPermission, now: float) -> None:
+    """Raises ``Violation`` if the value of a running robot is in no class that was explored.
+
+    Its locks are those of ``SMALL``.
+    """
+    rules = permission.rules
+    value = rules.class_of(permission.value, now)
+    for source in range(len(rules.sources)):
+        about = about_one_source(value, source)
+        check(about in small_classes(rules.automatic), f"this was not explored: {about}")
+
+
+def _anybody(owner: str) -> str:
+    return owner if owner in ("", ENDED) else "a"
+
+
+# -- counterexamples ------------------------------------------------------------------------------
+
+_EVENT_PERIOD = 0.1
+"""Time (s) between two events of a mission: a few control cycles."""
+
+
+def script(violation: Violation) -> str:
+    """Returns the events before a violation as a mission of tests/chaos."""
+    events: list[dict[str, Any]] = []
+    at = 0.0
+    for name in violation.path:
+        at += _EVENT_PERIOD
+        events += [{"at": round(at, 3), **act} for act in _acts(name)]
+    lines = ",\n    ".join(json.dumps(event) for event in events)
+    head = {"robot": "differential_cia402", "seed": 1, "start": "ready"}
+    head["duration"] = round(at + 2.0, 3)
+    return json.dumps(head)[:-1] + ',\n  "events": [\n    ' + lines + "\n  ]}\n"
+
+
+def _acts(name: str) -> Iterator[dict[str, Any]]:
+    """Yields the acts of tests/chaos for an event; none for a control cycle, which comes anyway."""
+    client, _, rest = name.partition(" ")
+    call = {"act": "call", "client": client}
+    if match := re.fullmatch(r"publishes (.+): (\w+)", rest):
+        speed = {"zero": 0.0, "a step": STEP.vx, "a motion": FAST.vx}[match[1]]
+        yield {**call, "service": "twist", "arguments": {"source": match[2], "vx": speed}}
+    elif match := re.fullmatch(r"(sets|releases) (.+?)( by force)?", rest):
+        locked, force = match[1] == "sets", {"force": True} if match[3] else {}
+        if match[2] == "the safety stop":
+            service = "safety_stop" if locked else "release_safety_stop"
+            yield {**call, "service": service, "arguments": force}
+        else:
+            arguments = {"name": match[2], "locked": locked, **force}
+            yield {**call, "service": "lock", "arguments": arguments}
+    elif rest.startswith("arms"):
+        yield {**call, "service": "arm"}
+    elif rest == "ends":
+        yield {"act": "close", "client": client}
+    elif "gap in time" in name:
+        yield {"act": "stall", "seconds": 0.4 if "long" in name else 0.15}
+    elif name.startswith("a person "):
+        service = {"disarms": "disarm", "resets": "reset_faults", "homes": "home_steering"}
+        yield {"act": "call", "client": "person", "service": service[name.split()[-1]]}
+
+
+if __name__ == "__main__":
     for configuration in (SMALL, *CONFIGURATIONS):
         if sys.argv[1:] and configuration.name not in sys.argv[1:]:
             continue
         start = time.process_time()
         result = explore(configuration)
         print(
-            configuration.name,
-            len(result.states),
-            result.transitions,
-            time.process_time() - start,
-            flush=True,
+            f"| {configuration.name} | {len(result.states):,} | {result.transitions:,} |", end=" "
         )
+        print(f"{time.process_time() - start:.1f} s", flush=True)
