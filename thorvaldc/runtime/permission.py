@@ -1,8 +1,8 @@
 """The permission to move: one immutable value, and the rules that change it.
 
-``Rules.step`` returns the next value and an answer.  It reads no clock, calls nothing and changes
-nothing, so that every state can be explored (tests/runtime/exploration.py).  A robot moves while
-all of this is true::
+Each event is a pure function of a value, a method of ``Rules``: it returns the next value and an
+answer, and reads no clock.  So every state can be explored (tests/runtime/exploration.py).  A robot
+moves while all of this is true::
 
     armed        by a person, or by itself if no person has ended that; every stop disarms
     no fault     of a long gap in time
@@ -21,16 +21,7 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Concatenate, Final, NamedTuple, ParamSpec
 
-from thorvaldc.model import Robot, TwistInput
-from thorvaldc.model.settings import (
-    ANY_FIRST,
-    ARMING_TIMEOUT,
-    AUTOMATIC,
-    RAMP_FIRST,
-    SAFETY_STOP,
-    STOP_PRIORITY,
-    first_ramp_step,
-)
+from thorvaldc.model import Robot, TwistInput, settings
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 THIS_PROGRAM: Final = "this program"
@@ -148,8 +139,8 @@ READY: Final = Base()
 class Rules:
     """What does not change while a robot runs: its sources, locks and times; and the rules.
 
-    The rules below ``step`` are methods ``(value, ...) -> (value, answer)``.  A refused event
-    leaves the value as it is.  A refused motion is noted all the same, since its source is heard.
+    The events are methods ``(value, ...) -> (value, answer)``.  A refused event leaves the value as
+    it is.  A refused motion is noted all the same, since its source is heard.
     """
 
     def __init__(
@@ -158,11 +149,11 @@ class Rules:
         locks: Iterable[TwistInput] = (),
         *,
         automatic: bool = False,
-        arming_timeout: float = ARMING_TIMEOUT,
+        arming_timeout: float = settings.ARMING_TIMEOUT,
         first_step: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         self.rank(tuple(sources))
-        self.locks = (TwistInput(SAFETY_STOP, "", STOP_PRIORITY, 0.0), *locks)
+        self.locks = (TwistInput(settings.SAFETY_STOP, "", settings.STOP_PRIORITY, 0.0), *locks)
         self.automatic, self.arming_timeout = automatic, arming_timeout
         self.first_step = first_step
         # Highest priority of a source that the lock blocks while the lock is active.
@@ -254,11 +245,11 @@ class Rules:
         first = self.sources[source].first_command
         linear, angular = (limit * (1.0 + _TOLERANCE) for limit in self.first_step)
         is_step = abs(twist.vx) <= linear and abs(twist.vy) <= linear and abs(twist.wz) <= angular
-        return first == ANY_FIRST or (first == RAMP_FIRST and is_step)
+        return first == settings.ANY_FIRST or (first == settings.RAMP_FIRST and is_step)
 
     def resumes(self, source: int) -> bool:
         """Checks whether a source that was ineffective goes on with its motion, as in twist_mux."""
-        return self.sources[source].first_command == ANY_FIRST
+        return self.sources[source].first_command == settings.ANY_FIRST
 
     def class_of(self, value: Permission, now: float) -> Permission:
         """Returns the class of a value at the time ``now`` (s), a value at the time 0.
@@ -290,16 +281,6 @@ class Rules:
         )
 
     # -- events ------------------------------------------------------------------------------------
-
-    def step(
-        self,
-        value: Permission,
-        event: Callable[Concatenate[Rules, Permission, P], Step],
-        *arguments: P.args,
-        **named: P.kwargs,
-    ) -> Step:
-        """Returns the value after an event, one of the following rules, and the answer to it."""
-        return event(self, value, *arguments, **named)
 
     def publish(
         self, value: Permission, source: int, twist: Twist, time: float, owner: str = THIS_PROGRAM
@@ -539,9 +520,9 @@ class MotionPermission:
         rules = Rules(
             robot.twist_sources,
             robot.twist_locks,
-            automatic=(arming or driver.arming) == AUTOMATIC,
+            automatic=(arming or driver.arming) == settings.AUTOMATIC,
             arming_timeout=driver.arming_timeout,
-            first_step=first_ramp_step(driver),
+            first_step=settings.first_ramp_step(driver),
         )
         return cls(rules, armed)
 
@@ -551,14 +532,14 @@ class MotionPermission:
         *arguments: P.args,
         **named: P.kwargs,
     ) -> Answer:
-        """Changes the value by an event, see ``Rules.step``."""
-        value, answer = self.rules.step(self.value, event, *arguments, **named)
+        """Changes the value by an event, such as ``Rules.arm``; the only way to change it."""
+        value, answer = event(self.rules, self.value, *arguments, **named)
         if answer.home and (refusal := self.home(answer.again)):
             return Answer(refusal)
         self.value = value
         return answer
 
-    def add_source(self, settings: TwistInput) -> None:
+    def add_source(self, source: TwistInput) -> None:
         """Adds a twist source of this program, of another priority than the present sources."""
-        self.rules.rank((*self.rules.sources, settings))
+        self.rules.rank((*self.rules.sources, source))
         self.value = self.value._replace(sources=(*self.value.sources, SourceState()))
