@@ -90,7 +90,14 @@ CONFIGURATIONS = (
         faults=False,
     ),
     Configuration("two programs that home", (NAVIGATION,), (STOP_LOCK,), ("a", "b"), homes=True),
-    Configuration("automatic arming", (JOY, NAVIGATION), automatic=True, homes=True),
+    Configuration(
+        "automatic arming",
+        (JOY, NAVIGATION),
+        (STOP_LOCK, PAUSE_LOCK),
+        automatic=True,
+        homes=True,
+        faults=False,
+    ),
 )
 
 
