@@ -223,6 +223,31 @@ def test_files_are_written_in_one_place(package: Nodes) -> None:
     )
 
 
+def test_one_file_creates_and_changes_the_permission_to_move(
+    trees: dict[Path, ast.Module],
+) -> None:
+    """What is explored in tests/runtime/exploration.py is what moves the robot."""
+    makers = {
+        path.relative_to(PACKAGE).as_posix()
+        for path, tree in trees.items()
+        for node in ast.walk(tree)
+        if (isinstance(node, ast.Name) and node.id in ("Permission", "SourceState", "LockState"))
+        or (
+            isinstance(node, ast.Attribute)
+            and isinstance(node.ctx, ast.Store)
+            and ast.unparse(node).endswith("permission.value")
+        )
+    }
+    assert makers == {"runtime/permission.py"}
+
+
+def test_one_place_commands_the_joints_of_a_robot(trees: dict[Path, ast.Module]) -> None:
+    assert calls(trees, "base.write") == {
+        "runtime/driver.py",
+        "simulation/bus/simulated_motors.py",  # the physics behind the simulated bus
+    }
+
+
 def pads_text(node: ast.AST) -> bool:
     """Whether a node pads a text to a width that is computed."""
     if isinstance(node, ast.Call):

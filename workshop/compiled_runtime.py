@@ -46,6 +46,7 @@ RUNTIME_MODULES = (
     "runtime/calculators/differential",
     "runtime/twist_ramp",
     "runtime/odometry",
+    "runtime/permission",
     "runtime/multiplexer",
     "runtime/pace",
     "runtime/driver",

@@ -36,6 +36,7 @@ from tests.chaos.invariants import (
     StateInvariant,
     Violation,
     check_commands,
+    check_explored_permission,
     check_stored,
 )
 from tests.chaos.permission import Permission, wheel_speed
@@ -299,6 +300,7 @@ class ChaosWorld:
         self._seen_jumps -= homed
         for client in self.clients.values():
             client.notice_end()
+        check_explored_permission(self, now)
         self.state_check.check(now)
         check_commands(self, now)
         self.odometry.check(now)

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from tests.chaos.permission import wheel_speed
+from tests.runtime import exploration
+from tests.runtime.exploration import check_explored
 from thorvaldc.model.stopping import DRIVE_DEAD, DRIVER_DEAD, STOP_LOCK, stop_bounds
 from thorvaldc.runtime.se2 import ORIGIN, Pose2
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
@@ -61,6 +63,10 @@ SAMPLING_TIME = 0.12
 def false_reports_notice(period: float) -> float:
     """Returns the longest time (s) until false reports with a period (s) are noticed."""
     return SURPLUS * period + SAMPLING_TIME
+
+
+rules_are_whole = True
+"""``False`` while a rule is taken out, so that the true motors show it."""
 
 
 class Violation(Exception):
@@ -216,6 +222,16 @@ def check_commands(world: ChaosWorld, now: float) -> None:
     twist = state.ramped
     if twist.speed > 1.01 * linear + 0.01 or abs(twist.wz) > 1.01 * angular + 0.01:
         raise Violation("command", now, f"the ramped twist {twist} exceeds {world.limits}")
+
+
+def check_explored_permission(world: ChaosWorld, now: float) -> None:
+    """The permission of the running robot is in a class that tests/runtime/exploration visits."""
+    if not rules_are_whole:
+        return
+    try:
+        check_explored(world.driven.permission, now)
+    except exploration.Violation as violation:
+        raise Violation("explored permission", now, str(violation)) from None
 
 
 def check_stored(world: ChaosWorld, stored: Mapping[str, Mapping[str, object]]) -> None:

@@ -4,8 +4,8 @@ A motion is permitted while all of this is true.  The rules are those of docs/dr
 
 - The driver was armed after it became ready, and no fault, stop, restart or long gap came since.
 - The twist was sent by the connection that holds its source, and it is fresh.
-- After a gap in the control cycle, the source has commanded zero before.  So has a source that is
-  new, that was silent, or that takes over from one of a higher priority.
+- The source has commanded zero since the last control cycle in which it did not drive the robot,
+  whatever the cause was.  A ramp may begin with its first step after a silence.
 - No stop lock with a higher priority is set, and none was set since the driver was armed.
 
 The rules are permissive where the outcome depends on the order within a control cycle.
@@ -17,6 +17,7 @@ import math
 from dataclasses import dataclass, field
 
 from thorvaldc.model import Robot
+from thorvaldc.model.settings import RAMP_FIRST, first_ramp_step
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 SHORT_GAP = 2.5
@@ -40,6 +41,7 @@ class _Source:
     attempt: float = -math.inf
     """Time (s) of the last twist of the holder, also if it was void."""
     awaits_zero: bool = False
+    ramps: bool = False
 
     def is_held(self, now: float) -> bool:
         return now - self.attempt <= self.timeout + 1e-6
@@ -76,7 +78,6 @@ class Permission:
     _arming_client: str = ""
     """Connection whose request to arm homes the steering first."""
     _awaits_homing: bool = False
-    _driving: _Source | None = None
     _moves_before_arming: bool = False
     _void_at: float = -math.inf
     _last_motion: float = -math.inf
@@ -90,7 +91,8 @@ class Permission:
 
     def driver_restarted(self) -> None:
         self.sources = {
-            s.name: _Source(s.priority, s.timeout or math.inf) for s in self.robot.twist_sources
+            s.name: _Source(s.priority, s.timeout or math.inf, ramps=s.first_command == RAMP_FIRST)
+            for s in self.robot.twist_sources
         }
         self.locks = {}
         self.living = set()
@@ -119,7 +121,7 @@ class Permission:
         ``awaits_homing``: the base homes the steering when it is armed.
         """
         self._awaits_homing = awaits_homing
-        self._note_takeover(now)
+        self._note_ineffective(now)
         if starts:
             self.must_reset = False
         arms_itself = not self.needs_arming and not self._disarmed_by_person
@@ -143,14 +145,12 @@ class Permission:
             for s in self.sources.values()
         )
 
-    def _note_takeover(self, now: float) -> None:
-        source, last = self._selected(now), self._driving
-        if source is None or source is last:
-            return
-        self._driving = source
-        silent = last is not None and not last.is_held(now)
-        if last is not None and last.priority > source.priority and silent:
-            source.awaits_zero = source.twist != ZERO_TWIST
+    def _note_ineffective(self, now: float) -> None:
+        """Every source that commands a motion and does not drive must command zero first."""
+        selected = self._selected(now) if self.armed else None
+        for source in self.sources.values():
+            if source is not selected and source.twist != ZERO_TWIST:
+                source.awaits_zero = True
 
     def _void(self) -> None:
         for source in self.sources.values():
@@ -164,7 +164,7 @@ class Permission:
         if other and entry.is_held(now):
             return
         if not entry.is_held(now - self.period):  # the driver compares the times of two cycles
-            entry.awaits_zero = True
+            entry.awaits_zero = not (entry.ramps and self._is_first_step(twist))
         entry.client, entry.attempt = client, now
         if twist == ZERO_TWIST:
             entry.awaits_zero = False
@@ -177,6 +177,10 @@ class Permission:
             self._last_motion = now
         elif self._selected(now) is entry:
             self.zero_first = False
+
+    def _is_first_step(self, twist: Twist) -> bool:
+        linear, angular = first_ramp_step(self.robot.driver)
+        return max(abs(twist.vx), abs(twist.vy)) <= linear and abs(twist.wz) <= angular
 
     def sends_late_zero(self, source: str, now: float) -> None:
         """Notes a zero twist that may wait behind a flood of motions, which count first."""

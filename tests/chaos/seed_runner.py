@@ -14,9 +14,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from tests.chaos.chaos_robots import chaos_robot
 from tests.chaos.chaos_world import ChaosWorld
 from tests.chaos.invariants import Violation
 from tests.chaos.schedule import READY, Schedule
+from tests.runtime.exploration import small_classes
+from thorvaldc.model.settings import AUTOMATIC
 
 SNAPSHOT_SEED = 7
 _PREPARED: dict[str, ChaosWorld] = {}
@@ -81,6 +84,7 @@ def _device_seed(schedule: Schedule) -> int:
 
 def run_schedule(schedule: Schedule) -> Outcome:
     """Runs a schedule in a copy of this process."""
+    small_classes(chaos_robot(schedule.robot).driver.arming == AUTOMATIC)  # the copy has them too
     world = prepared_world(schedule.robot) if schedule.start == READY else None
     return in_copy(lambda: run_here(schedule, world))
 

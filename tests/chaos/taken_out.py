@@ -8,16 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from tests.chaos import invariants
 from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryLevel, BatterySupervision
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.node_watchdog import ObjectSupervision
 from thorvaldc.runtime.can_base.stop_ladder import StopLadder
 from thorvaldc.runtime.control_channel import ControlServer
 from thorvaldc.runtime.driven_robot import DrivenRobot
-from thorvaldc.runtime.driver import MotionPermission
-from thorvaldc.runtime.multiplexer import Multiplexer, _Source
 from thorvaldc.runtime.pace import Gap, TimeGapRule
-from thorvaldc.runtime.service_table import Caller, OwnedStop
+from thorvaldc.runtime.permission import DONE, MotionPermission, Permission, Rules, Step
+from thorvaldc.runtime.service_table import Caller
 
 
 def _time_gaps() -> None:
@@ -32,7 +32,7 @@ def _stale_commands() -> None:
 
 def _closed_connections() -> None:
     """The twists of a closed connection count until their time-out."""
-    _replace(Multiplexer, "release", lambda self, owner: None)
+    _replace(Rules, "end_program", lambda self, value, owner: (value, DONE))
 
 
 def _second_devices() -> None:
@@ -41,15 +41,24 @@ def _second_devices() -> None:
 
 
 def _stop_locks() -> None:
-    """A stop lock does not disarm, and a source with its priority drives through it."""
-    initialise = Multiplexer.__init__
+    """A stop lock neither disarms nor blocks a source."""
+    active_locks = Rules.active_locks
 
-    def initialise_below(self: Multiplexer, *inputs: Any) -> None:
-        initialise(self, *inputs)
-        self._barriers = {name: lock.settings.priority - 0.5 for name, lock in self._locks.items()}
+    def other_active_locks(
+        self: Rules, value: Permission, now: float
+    ) -> tuple[tuple[int, ...], float]:
+        active, _ = active_locks(self, value, now)
+        active = tuple(k for k in active if not self.locks[k].is_stop_lock)
+        return active, max((self.locks[k].priority for k in active), default=-1.0)
 
-    _replace(Multiplexer, "__init__", initialise_below)
-    _replace(Multiplexer, "active_stop_locks", lambda self, now: ())
+    set_lock = Rules.set_lock
+
+    def only_set_lock(self: Rules, value: Permission, *lock: Any) -> Step:
+        changed, answer = set_lock(self, value, *lock)
+        return value._replace(locks=changed.locks), answer
+
+    _replace(Rules, "active_locks", other_active_locks)
+    _replace(Rules, "set_lock", only_set_lock)
 
 
 def _arming() -> None:
@@ -58,32 +67,48 @@ def _arming() -> None:
 
     def cycle_armed(self: DrivenRobot, now: float) -> Any:
         if self.ready:
-            self.driver.permission.armed = True
+            _arm(self.driver.permission)
         return cycle(self, now)
 
     _replace(DrivenRobot, "cycle", cycle_armed)
-    _replace(MotionPermission, "disarm", lambda self, reason="": None)
+    for event in ("disarm", "hold"):
+        _replace(Rules, event, lambda self, value, reason="": (value, DONE))
+
+
+def _arm(permission: MotionPermission) -> None:
+    permission.value = permission.value._replace(armed=True)
 
 
 def _zero_first() -> None:
-    """A source that is new or takes over may begin with a motion."""
-    _replace(_Source, "await_zero", lambda self, reason: None)
+    """A source may begin with a motion, and resume one."""
+    _replace(Rules, "begins", lambda self, source, twist: True)
+    _replace(Rules, "resumes", lambda self, source: True)
 
 
 def _owned_sources() -> None:
     """Every connection can publish every source."""
-    _replace(_Source, "holder", lambda self, now: "")
+    publish = Rules.publish
+
+    def publish_any(self: Rules, value: Permission, *twist: Any) -> Step:
+        return publish(self, value, *twist[:3], "anybody")
+
+    _replace(Rules, "publish", publish_any)
 
 
 def _owned_stops() -> None:
     """Every connection can release every stop."""
-    release = OwnedStop.release
-    _replace(OwnedStop, "release", lambda self, owner, force=False: release(self, owner, True))
+    set_lock = Rules.set_lock
+
+    def set_by_force(self: Rules, value: Permission, *lock: Any) -> Step:
+        return set_lock(self, value, *lock[:4], True)
+
+    _replace(Rules, "set_lock", set_by_force)
 
 
 def _replace(owner: type, name: str, replacement: Callable[..., Any]) -> None:
     assert hasattr(owner, name), f"{owner.__name__} has no {name}"
     setattr(owner, name, replacement)
+    invariants.rules_are_whole = False
 
 
 def _batteries() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 
 import pytest
@@ -12,6 +13,7 @@ from thorvaldc.model import TwistInput
 from thorvaldc.runtime.base_interface import ParameterError
 from thorvaldc.runtime.driver import BaseDriver, DriveMode
 from thorvaldc.runtime.multiplexer import Multiplexer
+from thorvaldc.runtime.permission import MotionPermission, Rules
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.physics.sim_base import SimBase
 
@@ -19,14 +21,22 @@ SLOW, FAST = Twist(0.2, 0.0, 0.0), Twist(0.8, 0.0, 0.1)
 ROBOT = make_robot(FOUR_STEERED)
 
 
+RESUMING = [replace(source, first_command="any") for source in ROBOT.twist_sources]
+
+
+def multiplexer(
+    sources: Iterable[TwistInput], locks: Iterable[TwistInput] = ROBOT.twist_locks
+) -> Multiplexer:
+    return Multiplexer(MotionPermission(Rules(sources, locks)))
+
+
 @pytest.fixture
 def mux() -> Multiplexer:
     """``teleop_joy`` 100, ``auto_nav`` 10; ``safety_stop`` 255, ``auto_nav_pause`` 50.
 
-    The first command of both sources may be any.
+    Both sources resume.
     """
-    sources = [replace(source, first_command="any") for source in ROBOT.twist_sources]
-    return Multiplexer(sources, ROBOT.twist_locks)
+    return multiplexer(RESUMING)
 
 
 def test_no_source_is_selected_before_the_first_publication(mux: Multiplexer) -> None:
@@ -69,7 +79,7 @@ def test_active_lock_blocks_lower_priorities(mux: Multiplexer) -> None:
 
 
 def test_active_lock_blocks_its_own_priority() -> None:
-    mux = Multiplexer(
+    mux = multiplexer(
         [
             TwistInput("a", "a/cmd_vel", 51, 1.0, "any"),
             TwistInput("b", "b/cmd_vel", 50, 1.0, "any"),
@@ -87,7 +97,7 @@ def test_active_lock_blocks_its_own_priority() -> None:
 def test_no_priority_drives_through_a_stop_lock(stop_priority: int) -> None:
     """The compiler refuses such sources; a model from elsewhere must be stopped too."""
     for name, priority in (("safety_stop", stop_priority), ("fence", 255)):
-        mux = Multiplexer(
+        mux = multiplexer(
             [TwistInput("override", "override/cmd_vel", 255, 1.0, "any")],
             [TwistInput(name, f"{name}/lock", priority, 0.0)],
         )
@@ -98,7 +108,7 @@ def test_no_priority_drives_through_a_stop_lock(stop_priority: int) -> None:
 
 
 def test_lock_with_a_time_out_is_active_when_it_times_out() -> None:
-    mux = Multiplexer(
+    mux = multiplexer(
         [TwistInput("a", "a/cmd_vel", 10, 9.0, "any")], [TwistInput("gate", "gate/lock", 20, 1.0)]
     )
     mux.publish("a", SLOW, 0.0)
@@ -115,7 +125,7 @@ def test_order_of_the_sources_does_not_matter() -> None:
         TwistInput(name, f"{name}/cmd_vel", n, 1.0, "any") for n, name in enumerate("abcd", 1)
     ]
     for listed in (inputs, inputs[::-1]):
-        mux = Multiplexer(listed, ())
+        mux = multiplexer(listed, ())
         for name in "abcd":
             mux.publish(name, SLOW, 0.0)
         assert mux.select(0.5).source == "d"
@@ -149,9 +159,18 @@ def test_unknown_names(mux: Multiplexer) -> None:
 # -- in front of a driver -------------------------------------------------------------------------
 
 
-def drive(mux: Multiplexer, until: float, start: int = 0) -> list[tuple[float, DriveMode, Twist]]:
+def front(sources: Iterable[TwistInput]) -> tuple[Multiplexer, BaseDriver]:
+    """Returns a multiplexer in front of a driver that is armed."""
+    robot = replace(ROBOT, twist_sources=tuple(sources))
+    driver = BaseDriver(robot, SimBase(robot))
+    return Multiplexer(driver.permission), driver
+
+
+def drive(
+    sources: Iterable[TwistInput], until: float, start: int = 0
+) -> list[tuple[float, DriveMode, Twist]]:
     """``auto_nav`` publishes SLOW from 0 to 2 s; returns time, mode and ramped twist per tick."""
-    driver = BaseDriver(ROBOT, SimBase(ROBOT))
+    mux, driver = front(sources)
     samples = []
     for tick in range(start, round(until * 50)):
         now = tick * 0.02
@@ -167,8 +186,8 @@ def drive(mux: Multiplexer, until: float, start: int = 0) -> list[tuple[float, D
     return samples
 
 
-def test_lock_stops_the_robot_immediately_and_silence_after_the_time_out(mux: Multiplexer) -> None:
-    seen = drive(mux, 4.0)
+def test_lock_stops_the_robot_immediately_and_silence_after_the_time_out() -> None:
+    seen = drive(RESUMING, 4.0)
     speed = {round(now, 2): twist.vx for now, _, twist in seen}
     mode = {round(now, 2): mode for now, mode, _ in seen}
     assert speed[0.98] == pytest.approx(0.2)
@@ -183,7 +202,7 @@ def test_lock_stops_the_robot_immediately_and_silence_after_the_time_out(mux: Mu
 
 
 def test_runs_are_repeatable() -> None:
-    assert drive(Multiplexer.from_robot(ROBOT), 3.0) == drive(Multiplexer.from_robot(ROBOT), 3.0)
+    assert drive(RESUMING, 3.0) == drive(RESUMING, 3.0)
 
 
 # -- zero first (ADR 22) ---------------------------------------------------------------------------
@@ -231,14 +250,9 @@ def test_a_source_that_must_command_zero_keeps_its_rank() -> None:
 
 @pytest.mark.parametrize("first_command", ["zero", "any"])
 def test_a_source_below_one_that_falls_silent(first_command: str) -> None:
-    mux = Multiplexer(
-        [
-            TwistInput("joy", "joy", 100, 0.5),
-            TwistInput("nav", "nav", 10, 0.5, first_command),
-        ],
-        (),
+    mux, driver = front(
+        [TwistInput("joy", "joy", 100, 0.5), TwistInput("nav", "nav", 10, 0.5, first_command)]
     )
-    driver = BaseDriver(ROBOT, SimBase(ROBOT))
     speeds = []
     for tick in range(100):
         now = tick * 0.02
@@ -251,7 +265,8 @@ def test_a_source_below_one_that_falls_silent(first_command: str) -> None:
 
 
 def test_a_gap_requires_zero_of_every_source() -> None:
-    mux = Multiplexer([TwistInput("nav", "nav", 10, 0.5, "any")], ())
+    permission = MotionPermission(Rules([TwistInput("nav", "nav", 10, 0.5, "any")]))
+    mux = Multiplexer(permission)
     assert mux.publish("nav", SLOW, 0.0) == ""
-    mux.void("no control cycle for 120 ms")
+    permission.step(Rules.void, "no control cycle for 120 ms", 0.1)
     assert mux.publish("nav", SLOW, 0.1) == "no control cycle for 120 ms; command zero first"

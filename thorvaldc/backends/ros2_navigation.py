@@ -18,9 +18,10 @@ from thorvaldc.backends import ros2_parts
 from thorvaldc.backends.ros2_parameters import Parameters, is_holonomic
 from thorvaldc.model import Robot, Sensor
 from thorvaldc.model.sensor_numbers import sensor_numbers
+from thorvaldc.model.settings import RAMP_PERIOD
 from thorvaldc.model.statics.tip_over import footprint
 
-CONTROLLER_FREQUENCY = 20.0  # Hz; MPPI needs a step of this period
+CONTROLLER_FREQUENCY = 1.0 / RAMP_PERIOD  # Hz; MPPI needs a step of this period
 STEPS = 56  # steps of MPPI; 2.8 s ahead
 REVERSE_SHARE = 0.5  # speed in reverse, as a fraction of the robot's limit
 RESOLUTION = 0.05  # m, edge of a cell of the costmaps

@@ -18,7 +18,7 @@ from thorvaldc.backends.ros2_parameters import quoted
 from thorvaldc.backends.templates import Templates
 from thorvaldc.backends.xml_writer import escape
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.settings import EKF
+from thorvaldc.model.settings import ANY_FIRST, EKF, RAMP_FIRST, ZERO_FIRST
 
 _NEEDED = re.compile(
     r'package="([a-z0-9_]+)"|get_package_share_directory\("([a-z0-9_]+)"\)|node\("([a-z0-9_]+)", "'
@@ -43,6 +43,12 @@ LAUNCHES = {
     "base": "part of others: description and base driver",
 }
 """Content of each launch file, for the README."""
+BEGINNINGS = {
+    ZERO_FIRST: "begins with zero",
+    RAMP_FIRST: "begins with zero, or after a silence with the first step of a ramp, as Nav2 does",
+    ANY_FIRST: "begins with any twist, and resumes",
+}
+"""What a source of twists begins with, for the README."""
 _LAUNCH_TEMPLATES = Templates("ros2/launch")
 _SIM_TIME = {"use_sim_time": "true"}
 _CLOCK = {**_SIM_TIME, "publish_clock": "true"}
@@ -136,6 +142,7 @@ def readme(robot: Robot, parts: ros2_parts.Parts, launches: Iterable[str]) -> st
         sensors=sensors,
         launches={name: LAUNCHES[name] for name in launches},
         left_out=parts.left_out,
+        beginnings=BEGINNINGS,
     )
 
 

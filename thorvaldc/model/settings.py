@@ -20,8 +20,10 @@ ON_ARMING, AT_START = "on_arming", "at_start"
 """Values of ``DriverSettings.homing``."""
 ARMING_TIMEOUT = 300.0
 """Default of ``DriverSettings.arming_timeout`` in s."""
-ZERO_FIRST, ANY_FIRST = "zero", "any"
+ZERO_FIRST, RAMP_FIRST, ANY_FIRST = "zero", "ramp", "any"
 """Values of ``TwistInput.first_command``."""
+RAMP_PERIOD = 0.05
+"""Period in s of the steps of a ramp of Nav2; its controllers and smoother run at this rate."""
 STOP_PRIORITY = 255
 """Priority of a twist lock from which on the lock is a stop lock, see ``TwistInput``."""
 
@@ -107,6 +109,15 @@ class DriverSettings(Element):
         return self.max_linear_deceleration, self.max_angular_deceleration
 
 
+def first_ramp_step(driver: DriverSettings) -> tuple[float, float]:
+    """Return the largest first step of a ramp from rest, in m/s and rad/s.
+
+    The velocity smoother of Nav2, as it is generated, changes a twist by this step at most.
+    """
+    linear, angular = driver.max_linear_acceleration, driver.max_angular_acceleration
+    return RAMP_PERIOD * linear, RAMP_PERIOD * angular
+
+
 class ParameterSet(Element):
     """A named set of parameters that the driver can select while the robot drives.
 
@@ -134,9 +145,11 @@ class TwistInput(Element):
     - ``timeout``: time in s without a message after which a source becomes inactive and a lock
       blocks. A twist lock with the timeout 0 s never times out and keeps the state of its last
       message.
-    - ``first_command``: ``zero`` if a twist source that is new, was silent, or takes over from a
-      source that fell silent must command a zero twist before it moves the robot, or ``any`` if it
-      may move the robot with its first twist, as in twist_mux. It has no meaning for a lock.
+    - ``first_command``: ``zero`` if a twist source that did not drive the robot, for whatever
+      reason, must command a zero twist before it moves the robot; ``ramp`` if it may also begin
+      with the first step of a ramp after a silence longer than its time-out, see
+      ``first_ramp_step``; or ``any`` if it may begin with any twist and resumes its motion, as in
+      twist_mux. It has no meaning for a lock.
     """
 
     name: str

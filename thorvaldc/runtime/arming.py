@@ -2,25 +2,30 @@
 
 The robot is armed only if it passes all checks of ``PRE_ARM_CHECKS``.  Each check is a function
 that returns its reasons against arming.  All reasons of all checks are reported together, so that
-the operator can remove them in one go.  Stop locks, low batteries and silence of all sources disarm
-the robot again.
+the operator can remove them in one go.  What the robot may do then, and what disarms it, are the
+rules of the module ``permission``: this module reports to them what happens, and what they answer
+to the base.
 """
 
 from __future__ import annotations
 
-import contextlib
-import math
 from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import DiagnosticError
-from thorvaldc.model.settings import AUTOMATIC, SAFETY_STOP
 from thorvaldc.runtime.base_interface import BaseHandle, ParameterError, RequestRefused
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.multiplexer import Multiplexer
 from thorvaldc.runtime.pace import Pace, Timing
+from thorvaldc.runtime.permission import (
+    SERVICE_STOP,
+    THIS_PROGRAM,
+    Answer,
+    Base,
+    MotionPermission,
+    Rules,
+)
 from thorvaldc.runtime.se2 import ZERO_TWIST
-from thorvaldc.runtime.service_table import THIS_PROGRAM
 
 Feed = Callable[[BaseDriver, float], object]
 """Function that is called at the start of each control cycle with the driver and the time (s), and
@@ -58,22 +63,16 @@ class ArmableRobot:
         self.robot = robot = driver.robot
         self.base = base
         self.driver = driver
-        self.driver.permission.disarm()
+        self.permission = driver.permission = MotionPermission.of(robot, arming or "", armed=False)
+        self.permission.home = lambda again: base.home(self.now, again=again)
         self.pace = pace
-        self.multiplexer = Multiplexer.from_robot(robot)
+        self.multiplexer = Multiplexer(driver.permission)
         self.feed: Feed | None = None
         self.paused = False
         self.events: list[RunEvent] = []
         self.other_versions: dict[str, str] = {}
         """Versions of other programs that differ from this one, with a sentence about each."""
         self.pre_arm_checks: list[PreArmCheck] = list(PRE_ARM_CHECKS)
-        self.stop_engaged = False
-        """``True`` from the service ``safety_stop`` until its release by all programs."""
-        self._automatic = (arming or robot.driver.arming) == AUTOMATIC
-        self._arms_itself = self._automatic
-        self._arming_owner: str | None = None
-        """Program whose arming waits for the end of the homing."""
-        self._armed_at = -math.inf
 
     @property
     def now(self) -> float:
@@ -87,12 +86,12 @@ class ArmableRobot:
     @property
     def armed(self) -> bool:
         """``True`` if the robot accepts motion."""
-        return self.driver.permission.armed
+        return self.permission.value.armed
 
     @property
     def arming(self) -> bool:
         """``True`` while an arming waits for the end of the homing."""
-        return self._arming_owner is not None
+        return bool(self.permission.value.arming_owner)
 
     @property
     def ready(self) -> bool:
@@ -117,19 +116,14 @@ class ArmableRobot:
         Returns an empty text, or what the arming waits for.  Raises ``RequestRefused`` with the
         reasons of all checks that do not pass.
         """
-        if self.armed:
-            return ""
+        return self._arm(owner)
+
+    def _arm(self, owner: str, by_itself: bool = False) -> str:
         now = self.now
-        self._arms_itself = self._automatic
-        if self._arming_owner is None:
-            _raise_if("; ".join(self.arming_reasons(now)))
-            if self.base.is_homed:
-                self._accept_motion(now)
-                return ""
-            _raise_if(self.base.home(now))
-            self._arming_owner = owner
-            self.note("homing the steering")
-        return "homing the steering; the robot is armed when it has ended"
+        reasons = () if self.armed or self.arming else tuple(self.arming_reasons(now))
+        homed = self.base.is_homed
+        answer = self.permission.step(Rules.arm, now, owner, reasons, homed, by_itself)
+        return self._done(answer)
 
     def disarm(self, reason: str = "") -> None:
         """Accepts no motion until ``arm`` is called.  A moving robot ramps to rest.
@@ -137,106 +131,74 @@ class ArmableRobot:
         ``reason``: reason why the robot disarms itself.  Without a reason a person disarms it, and
         automatic arming ends.
         """
-        if self.armed:
-            self.note(reason or "disarmed")
-        self.driver.permission.disarm(reason)
-        self._arming_owner = None
-        if not reason:
-            self._arms_itself = False
+        self._done(self.permission.step(Rules.disarm, reason))
 
     def home_steering(self) -> None:
         """Homes all steering joints, also those that are homed.
 
         The steering joints turn during homing, and the robot is disarmed.
         """
-        stops = self.multiplexer.active_stop_locks(self.now)
-        _raise_if(f"the stop lock `{stops[0]}` is active" if stops else "")
-        _raise_if(self.base.home(self.now, again=True))
+        self._done(self.permission.step(Rules.home, self.now))
 
-    def _accept_motion(self, now: float) -> None:
-        self.driver.permission.arm()
-        self.multiplexer.accept_motion(now)
-        self._armed_at = now
-        self.note("armed")
+    def _done(self, answer: Answer) -> str:
+        """Does what an answer requires, and returns its text.  Raises ``RequestRefused``."""
+        _raise_if(answer.refusal)
+        if answer.stop is not None:
+            self.base.safety_stop(answer.stop)
+        if answer.note:
+            self.note(answer.note)
+        return answer.text
 
-    def _supervise_arming(self, now: float) -> None:
-        """Disarms the robot for every reason to do so, and continues an arming that waits."""
-        base = self.base
-        stops = self.multiplexer.active_stop_locks(now)
-        if stops:
+    def _select(self, now: float) -> None:
+        """Selects the source of this control cycle; disarms the robot for every reason to do so,
+        and continues an arming that waits."""
+        base, rules = self.base, self.permission.rules
+        report = Base(self.ready, base.is_homed, base.is_homing, base.disarming_reason)
+        answer = self.multiplexer.feed(self.driver, now, report, self.feed is not None)
+        self._done(answer)
+        if any(rules.locks[k].is_stop_lock for k in answer.locked):
             base.cancel_homing(now)
-        if self.armed:
-            if stops:
-                self.disarm(f"disarmed: the stop lock `{stops[0]}` is active")
-            elif base.disarming_reason:
-                self.disarm(f"disarmed: {base.disarming_reason}")
-            elif self._forgotten(now):
-                timeout = self.driver.settings.arming_timeout
-                self.disarm(f"disarmed: no source was heard for {timeout:g} s")
-        elif self._arming_owner is not None:
-            if not base.is_homing:
-                self._arming_owner = None
-                self._arm_if_allowed(now)
-        elif self._arms_itself and (self.ready or not base.is_homed):
-            # A homing moves the steering, so that it waits until somebody has commanded zero.
-            if base.is_homed:
-                self._arm_if_allowed(now)
-            elif self.multiplexer.holders(now) or self.feed is not None:
-                with contextlib.suppress(RequestRefused):
-                    self.arm()
-
-    def _arm_if_allowed(self, now: float) -> None:
-        reasons = "; ".join(self.arming_reasons(now))
-        if reasons:
-            self.driver.permission.disarm(f"disarmed: {reasons}")
-        else:
-            self._accept_motion(now)
-
-    def _forgotten(self, now: float) -> bool:
-        """Checks whether no source was heard for the time after which an arming ends."""
-        if self._automatic or self.feed is not None:
-            return False
-        heard = max(self._armed_at, self.multiplexer.last_heard)
-        return now - heard > self.driver.settings.arming_timeout
+        if answer.arm:
+            try:
+                self._arm(THIS_PROGRAM, by_itself=True)
+            except RequestRefused as error:
+                if report.homed:
+                    self.disarm(f"disarmed: {error}")
 
     # -- stops and faults --------------------------------------------------------------------------
 
     def safety_stop(
         self, engaged: bool = True, *, owner: str = THIS_PROGRAM, force: bool = False
-    ) -> None:
+    ) -> str:
         """Stops all motors of the base and switches the motors off.
 
         With ``engaged=False``, releases the safety stop of the program ``owner``, or with ``force``
-        of all programs.  Raises ``RequestRefused`` if another program has engaged it.
+        of all programs, and returns the other programs that stop the robot as text.  Raises
+        ``RequestRefused`` if only other programs have engaged it.
 
         After the release, the services ``reset`` and ``arm`` must be called before the robot can
         drive again.  A stop in software is not a safety function.
         """
-        self.lock(SAFETY_STOP, engaged, owner=owner, force=force)
-        self.stop_engaged = engaged
-        if engaged:
-            self.disarm("disarmed: the safety stop is engaged")
-        self.base.safety_stop(engaged)
+        step, now = self.permission.step, self.now
+        return self._done(step(Rules.set_lock, SERVICE_STOP, engaged, now, owner, force))
 
     @property
     def stop_owners(self) -> tuple[str, ...]:
-        """Names of the programs that have engaged the safety stop, also those that have ended."""
-        return self.multiplexer.lock_owners(SAFETY_STOP) if self.stop_engaged else ()
+        """Names of the programs that stop the robot, also those that have ended."""
+        return tuple(self.permission.rules.stopped_by(self.permission.value, self.now))
 
     def lock(
         self, name: str, locked: bool = True, *, owner: str = THIS_PROGRAM, force: bool = False
-    ) -> None:
+    ) -> str:
         """Sets a twist lock of the program ``owner``, or releases it, see ``Multiplexer.lock``.
 
-        Raises ``RequestRefused`` if another program keeps it locked.
+        Returns the programs that keep it locked as text.  Raises ``RequestRefused`` if only other
+        programs do.
         """
-        others = [name for name in self.multiplexer.lock_owners(name) if name != owner]
         try:
-            self.multiplexer.lock(name, locked, self.now, owner, force=force)
+            return self._done(self.multiplexer.lock(name, locked, self.now, owner, force=force))
         except ParameterError as error:
             raise RequestRefused(str(error)) from None
-        if force and others and not locked:
-            self.note(f"{owner} released by force `{name}` of {' and '.join(others)}")
 
     def reset(self) -> None:
         """Resets a fault or a stop.  After the reset, the robot is disarmed.
@@ -278,10 +240,7 @@ class ArmableRobot:
 
     def end_program(self, name: str) -> None:
         """Notes that a program has ended: its twists are void, its stops stay engaged."""
-        self.multiplexer.release(name)
-        if self._arming_owner == name:
-            self._arming_owner = None
-            self.note("not armed: the program that armed has ended during the homing")
+        self._done(self.multiplexer.release(name))
 
 
 def _raise_if(reason: str) -> None:
@@ -296,11 +255,8 @@ def check_base(robot: ArmableRobot, now: float) -> Iterable[str]:
 
 
 def check_stops(robot: ArmableRobot, now: float) -> Iterator[str]:
-    if robot.stop_engaged:
-        yield "the safety stop is engaged"
-    for name in robot.multiplexer.active_stop_locks(now):
-        if not (robot.stop_engaged and name == SAFETY_STOP):
-            yield f"the stop lock `{name}` is active"
+    rules = robot.permission.rules
+    return map(rules.stop_text, rules.stops(robot.permission.value, now))
 
 
 def check_commands(robot: ArmableRobot, now: float) -> Iterator[str]:
@@ -319,8 +275,8 @@ def check_commands(robot: ArmableRobot, now: float) -> Iterator[str]:
 def check_time(robot: ArmableRobot, now: float) -> Iterator[str]:
     if robot.paused:
         yield "the simulation is paused"
-    if robot.driver.permission.fault:
-        yield robot.driver.permission.fault
+    if fault := robot.permission.value.fault:
+        yield fault
     gap = robot.timing.latest_gap
     if gap is not None and now - gap[0] < GAP_MEMORY:
         yield (

@@ -30,6 +30,7 @@ from thorvaldc.runtime.base_interface import BaseHandle, RequestRefused
 from thorvaldc.runtime.control_channel import ControlServer, version_text
 from thorvaldc.runtime.driver import BaseDriver, DriveMode, DriverState
 from thorvaldc.runtime.pace import Clock, Gap, Pace, SimulatedTime, gap_text
+from thorvaldc.runtime.permission import THIS_PROGRAM, Rules
 from thorvaldc.runtime.run_time_parameters import LIMITS
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
@@ -145,13 +146,12 @@ class DrivenRobot(ArmableRobot):
             self.channel.poll(now, clock_time)
         if self.feed is not None:
             self.feed(self.driver, now)
-        self.multiplexer.feed(self.driver, now)
+        self._select(now)
         self.driver.speed_share = self.base.speed_share
-        self._supervise_arming(now)
         state = self.driver.tick(now)
         self.base.note_cycle(now, stale=state.mode is not DriveMode.DRIVING)
-        if state.mode is DriveMode.HELD or self.driver.permission.fault:
-            self.driver.permission.disarm()
+        if state.mode is DriveMode.HELD or self.permission.value.fault:
+            self.permission.step(Rules.hold)
         if self.ready and not self._was_ready:
             # During homing, the odometry has measured motions of the steering joints although the
             # robot did not move.
@@ -275,7 +275,6 @@ class DrivenRobot(ArmableRobot):
 
     def void(self, reason: str) -> None:
         """Voids all commands; each source must publish a zero twist before the robot moves."""
-        self.multiplexer.void(reason)
         self.driver.void_commands(reason)
 
     def pause(self, paused: bool) -> None:
@@ -293,10 +292,10 @@ class DrivenRobot(ArmableRobot):
 
     # -- services ----------------------------------------------------------------------------------
 
-    def call(self, service: str, owner: str = service_table.THIS_PROGRAM, **arguments: Any) -> Any:
+    def call(self, service: str, owner: str = THIS_PROGRAM, **arguments: Any) -> Any:
         """Calls a service and returns its result.  Raises ``ServiceError`` if it is refused."""
         caller = service_table.Caller(
-            owner, void=self.void_reason() if owner != service_table.THIS_PROGRAM else ""
+            owner, void=self.void_reason() if owner != THIS_PROGRAM else ""
         )
         return self.services.call(service, arguments, self.input_time, caller)
 
@@ -422,13 +421,13 @@ def _permission_services(robot: ArmableRobot) -> list[service_table.Service]:
 
     def lock(
         caller: service_table.Caller, name: str, locked: bool = True, force: bool = False
-    ) -> None:
+    ) -> str | None:
         if caller.void and not locked:
             raise service_table.ServiceError(caller.void)
-        robot.lock(name, locked, owner=caller.name, force=force)
+        return robot.lock(name, locked, owner=caller.name, force=force) or None
 
-    def release_safety_stop(caller: service_table.Caller, force: bool = False) -> None:
-        robot.safety_stop(False, owner=caller.name, force=force)
+    def release_safety_stop(caller: service_table.Caller, force: bool = False) -> str | None:
+        return robot.safety_stop(False, owner=caller.name, force=force) or None
 
     return [
         service_table.Service(
@@ -460,7 +459,7 @@ def _permission_services(robot: ArmableRobot) -> list[service_table.Service]:
         service_table.Service(
             "safety_stop",
             "Stop all motors and switch them off, until release and reset.",
-            lambda caller: robot.safety_stop(owner=caller.name),
+            lambda caller: robot.safety_stop(owner=caller.name) or None,
             valid_late=True,
         ),
         service_table.Service(

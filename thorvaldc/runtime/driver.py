@@ -21,6 +21,7 @@ from thorvaldc.runtime.base_interface import BaseHandle, JointStates, ParameterE
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate, for_robot
 from thorvaldc.runtime.odometry import Odometry
 from thorvaldc.runtime.pace import Gap, TimeGapRule, gap_text
+from thorvaldc.runtime.permission import MotionPermission, Rules
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Cov3, Pose2, Twist
 from thorvaldc.runtime.twist_ramp import LastingDifference, Ramp, difference_text, is_axle_swing
@@ -134,7 +135,7 @@ class BaseDriver:
         self._commanded_twist = ZERO_TWIST
         self._command_time = -math.inf
         self.time_gaps = TimeGapRule.of(robot, self.settings)
-        self.permission = MotionPermission()
+        self.permission = MotionPermission.of(robot)
         geometry = self.calculator.geometry
         self._ramp = Ramp(self.settings, geometry.length, geometry.steering_time)
         self._follows = False
@@ -188,21 +189,21 @@ class BaseDriver:
         return self.time_gaps.judge(now - last, now) if math.isfinite(last) else Gap.NONE
 
     def void_commands(self, reason: str) -> None:
-        """Voids the last command, and accepts no motion before a zero twist is commanded.
+        """Voids the commands of all sources, and accepts no motion before a zero twist.
 
         ``reason``: reason that the operator sees, such as ``no control cycle for 120 ms``.
         """
         self._command_time = -math.inf
-        self.permission.void(reason, self.state.time)
+        self.permission.step(Rules.void, reason, self.state.time)
 
     def reset(self) -> None:
         """Resets the fault of a long gap in time.
 
         The robot moves again after a zero twist was commanded.
         """
-        if self.permission.fault:
+        if self.permission.value.fault:
             self._command_time = -math.inf
-            self.permission.reset(self.state.time)
+            self.permission.step(Rules.reset, self.state.time)
 
     @property
     def settings(self) -> DriverSettings:
@@ -337,7 +338,7 @@ class BaseDriver:
             odometry.estimate,
             odometry.pose,
             odometry.covariance,
-            (unusable or self.permission.fault) if mode is not DriveMode.HELD else "",
+            (unusable or self.permission.value.fault) if mode is not DriveMode.HELD else "",
             hold_reason,
             not_followed,
         )
@@ -365,22 +366,21 @@ class BaseDriver:
             zero is commanded, and the ramp is 0  IDLE
             else                                  DRIVING
         """
-        permission, hold_reason = self.permission, self.base.hold_reason
+        hold_reason = self.base.hold_reason
         if gap is not Gap.NONE:
             self.time_gaps.note(now)
-            reason = gap_text(now - self.state.time)
             self._command_time = -math.inf
             # A base that does not follow joint commands stands or stops the robot itself.
-            if gap is Gap.LONG and not hold_reason:
-                permission.fail(reason, now)
-            else:
-                permission.void(reason, now)
+            fault = gap is Gap.LONG and not hold_reason
+            reason = gap_text(now - self.state.time)
+            self.permission.step(Rules.void, reason, now, fault, every=False)
         if hold_reason:
             return DriveMode.HELD, ZERO_TWIST, hold_reason
-        if unusable or permission.fault:
+        if unusable or self.permission.value.fault:
             return DriveMode.FAULT, ZERO_TWIST, ""
-        permission.note_command(self._commanded_twist, self._command_time)
-        if reason := permission.waiting_reason or self.source_refusal:
+        if self.permission.value.void and self._commanded_twist == ZERO_TWIST:
+            self.permission.step(Rules.command_zero, self._command_time)
+        if reason := self.permission.value.waiting_reason or self.source_refusal:
             return DriveMode.WAITING, ZERO_TWIST, reason
         if now - self._command_time > self.settings.command_timeout + _TIME_TOLERANCE:
             if self._command_time == -math.inf:
@@ -443,89 +443,3 @@ class BaseDriver:
         if abs(twist.wz) * scale > top_rate:
             scale = top_rate / abs(twist.wz)
         return twist.scaled(scale) if scale < 1.0 else twist
-
-
-# -- the permission to follow a commanded motion ------------------------------------------------
-#
-# A gap in time, a fault or a person takes the permission away.  The states::
-#
-#                   void: a gap in time, a pause
-#         GRANTED -------------------------------> ZERO_AWAITED <-----------+
-#            |    <-------------------------------       |                  |
-#            |     zero was commanded since then,        |                  | reset
-#            |     or the robot was armed                |                  |
-#            |                                           v                  |
-#            +---------------------------------------> FAULT ---------------+
-#                   fail: a long gap, or the third gap in two seconds
-#
-# Beside it the robot is armed or disarmed.  A motion needs both: armed, and GRANTED.
-
-
-class Permission(enum.Enum):
-    """State of the permission to move, see the text of this module."""
-
-    GRANTED = "granted"
-    ZERO_AWAITED = "zero awaited"
-    FAULT = "fault"
-
-
-class MotionPermission:
-    """Permission of the base driver to follow a commanded motion.
-
-    - ``state``: state of the permission;
-    - ``armed``: ``False`` if no motion is accepted until the robot is armed;
-    """
-
-    def __init__(self) -> None:
-        self.state = Permission.GRANTED
-        self.armed = True
-        self._disarmed_by = ""
-        self._reason = ""
-        self._since = -math.inf
-
-    @property
-    def fault(self) -> str:
-        """Reason of the state FAULT, or an empty text."""
-        return self._reason if self.state is Permission.FAULT else ""
-
-    @property
-    def waiting_reason(self) -> str:
-        """Reason why no motion is accepted at present although there is no fault."""
-        if not self.armed:
-            return self._disarmed_by or "disarmed"
-        if self.state is Permission.ZERO_AWAITED:
-            return f"{self._reason}; command zero first"
-        return ""
-
-    def void(self, reason: str, now: float) -> None:
-        """Accepts no motion until a zero twist is commanded after ``now`` (s)."""
-        if self.state is not Permission.FAULT:
-            self.state, self._reason = Permission.ZERO_AWAITED, reason
-        self._since = now
-
-    def fail(self, reason: str, now: float) -> None:
-        """Accepts no motion until ``reset``."""
-        self.state, self._reason, self._since = Permission.FAULT, reason, now
-
-    def reset(self, now: float) -> None:
-        """Leaves the state FAULT; a zero twist must be commanded after ``now`` (s)."""
-        if self.state is Permission.FAULT:
-            self.state, self._since = Permission.ZERO_AWAITED, now
-
-    def note_command(self, twist: Twist, time: float) -> None:
-        """Grants motion again if the newest command, given at ``time`` (s), is a zero twist."""
-        if self.state is Permission.ZERO_AWAITED and twist == ZERO_TWIST and time > self._since:
-            self.state = Permission.GRANTED
-
-    def arm(self) -> None:
-        """Accepts motion.  The caller must have checked that no motion is commanded."""
-        self.armed = True
-        if self.state is Permission.ZERO_AWAITED:
-            self.state = Permission.GRANTED
-
-    def disarm(self, reason: str = "") -> None:
-        """Accepts no motion until ``arm``.
-
-        ``reason``: reason that the operator sees, such as ``disarmed: the battery is empty``.
-        """
-        self.armed, self._disarmed_by = False, reason

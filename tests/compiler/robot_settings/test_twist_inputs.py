@@ -31,7 +31,7 @@ def test_default_sources_are_those_of_the_original_system(tmp_path: Path) -> Non
     model = robot(tmp_path, "driver: {command_timeout: 0.4 s}\n")
     assert model.twist_sources == (
         TwistInput("teleop_joy", "teleop_joy/cmd_vel", 100, 0.4),
-        TwistInput("auto_nav", "auto_nav/cmd_vel", 10, 0.4),
+        TwistInput("auto_nav", "auto_nav/cmd_vel", 10, 0.4, "ramp"),
     )
     assert model.twist_locks == (
         TwistInput("safety_stop", "safety_stop/lock", 255, 0.0),

@@ -28,7 +28,13 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import Label, Proposal, Report, did_you_mean
 from thorvaldc.model import Actuator, DriverSettings, ParameterSet, TwistInput, Wheel
-from thorvaldc.model.settings import SAFETY_STOP, STOP_PRIORITY, BatterySettings
+from thorvaldc.model.settings import (
+    RAMP_FIRST,
+    SAFETY_STOP,
+    STOP_PRIORITY,
+    ZERO_FIRST,
+    BatterySettings,
+)
 from thorvaldc.model.spatial import clean
 
 # Least distance (m) of a wheel from the centre of the robot in the computation of the maximum
@@ -259,14 +265,14 @@ def _finite(value: float) -> float:
 
 # The default twist sources and twist locks have the same names, priorities and ROS topics as in the
 # twist multiplexer of the original system.  Commanded twists of the joystick have a higher priority
-# than commanded twists of the navigation.
+# than commanded twists of the navigation.  Nav2 begins each motion with a ramp (ADR 22).
 DEFAULT_SOURCES = {
-    "teleop_joy": (100, "teleop_joy/cmd_vel"),
-    "auto_nav": (10, "auto_nav/cmd_vel"),
+    "teleop_joy": (100, "teleop_joy/cmd_vel", ZERO_FIRST),
+    "auto_nav": (10, "auto_nav/cmd_vel", RAMP_FIRST),
 }
 DEFAULT_LOCKS = {
-    SAFETY_STOP: (STOP_PRIORITY, "safety_stop/lock"),
-    "auto_nav_pause": (50, "auto_nav/pause"),
+    SAFETY_STOP: (STOP_PRIORITY, "safety_stop/lock", ZERO_FIRST),
+    "auto_nav_pause": (50, "auto_nav/pause", ZERO_FIRST),
 }
 TwistInputs = tuple[TwistInput, ...]
 
@@ -295,10 +301,13 @@ def read_twist_inputs(
 
 
 def _inputs(
-    defaults: Mapping[str, tuple[int, str]], stated: dict[str, Section], topic: str, timeout: float
+    defaults: Mapping[str, tuple[int, str, str]],
+    stated: dict[str, Section],
+    topic: str,
+    timeout: float,
 ) -> dict[str, TwistInput]:
     """Returns the default twist sources or twist locks, with the values of a robot document."""
-    inputs = {n: TwistInput(n, default, p, timeout) for n, (p, default) in defaults.items()}
+    inputs = {n: TwistInput(n, t, p, timeout, first) for n, (p, t, first) in defaults.items()}
     for name, section in stated.items():
         default = inputs.get(name) or TwistInput(name, f"{name}/{topic}", 0, timeout)
         # The schema check has already reported a missing priority.

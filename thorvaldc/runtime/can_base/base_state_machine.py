@@ -262,6 +262,8 @@ class BaseStateMachine:
         if self.state not in (BaseState.STANDBY, BaseState.READY):
             return f"the base is {self.state.value}, not ready"
         if again:
+            if not any(axis.steering for c in self.controllers for axis in c.axes):
+                return "the robot has no steering joints to home"
             for controller in self.controllers:
                 controller.discard_home(now)
         self._enter(BaseState.HOMING, now)

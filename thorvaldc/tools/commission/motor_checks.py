@@ -180,8 +180,9 @@ class MotorChecks:
 
     def _home(self, axis: Axis, result: MotorResult) -> Steps[None]:
         session = self.session
-        if stops := session.driven.multiplexer.active_stop_locks(session.now):
-            raise Interrupted(f"the stop lock `{stops[0]}` is active")
+        permission = session.driven.permission
+        if stops := permission.rules.stops(permission.value, session.now):
+            raise Interrupted(permission.rules.stop_text(stops[0]))
         self._controller(axis).discard_home(session.now)
         watch = MotionWatch(session.base, axis, math.nan)
         since = session.now
