@@ -223,14 +223,12 @@ def test_files_are_written_in_one_place(package: Nodes) -> None:
     )
 
 
-def test_one_file_creates_and_changes_the_permission_to_move(
-    trees: dict[Path, ast.Module],
-) -> None:
+def test_one_file_creates_and_changes_the_permission_to_move(package: Nodes) -> None:
     """What is explored in tests/runtime/exploration.py is what moves the robot."""
     makers = {
         path.relative_to(PACKAGE).as_posix()
-        for path, tree in trees.items()
-        for node in ast.walk(tree)
+        for path, nodes in package.items()
+        for node in nodes
         if (isinstance(node, ast.Name) and node.id in ("Permission", "SourceState", "LockState"))
         or (
             isinstance(node, ast.Attribute)
@@ -241,8 +239,8 @@ def test_one_file_creates_and_changes_the_permission_to_move(
     assert makers == {"runtime/permission.py"}
 
 
-def test_one_place_commands_the_joints_of_a_robot(trees: dict[Path, ast.Module]) -> None:
-    assert calls(trees, "base.write") == {
+def test_one_place_commands_the_joints_of_a_robot(package: Nodes) -> None:
+    assert calls(package, "base.write") == {
         "runtime/driver.py",
         "simulation/bus/simulated_motors.py",  # the physics behind the simulated bus
     }

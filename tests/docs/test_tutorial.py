@@ -22,6 +22,7 @@ from tests.docs.tutorial import (
     programs_in,
     ros_programs_in,
 )
+from tests.outside_tools import require
 from tests.ros.environments import variables
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,6 +40,7 @@ def install_command() -> str:
 @pytest.fixture(scope="module")
 def reader(tmp_path_factory: pytest.TempPathFactory) -> Reader:
     """A reader with the package of the wheel, and with no settings of this computer's user."""
+    require("OpenGL")  # of the first page, on whose files the others go on
     home = tmp_path_factory.mktemp("home")
     for name in ("scout", "run"):
         (home / name).mkdir()

@@ -19,6 +19,7 @@ from thorvaldc.model import Robot
 from thorvaldc.model.stopping import STOP_LOCK
 from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
 from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.permission import Rules
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.physics.sim_base import SimBase
 
@@ -119,7 +120,7 @@ class Drive:
         first = len(self.base.speeds) - 1
         twist: Twist | None = FAST
         if how == "disarmed":
-            self.driver.permission.disarm()
+            self.driver.permission.step(Rules.disarm)
         elif how == "zero":
             twist = ZERO_TWIST
         elif how == "held":
@@ -185,7 +186,7 @@ def test_a_base_that_holds_its_joints_goes_on_from_rest() -> None:
     for _ in range(50):
         drive.step(FAST)
     drive.base.held = ""
-    drive.driver.permission.disarm()
+    drive.driver.permission.step(Rules.disarm)
     drive.step(FAST)
     assert not any(drive.base.speeds[-1])
     assert drive.base.angles[-1] == pytest.approx([0.3] * 4)
@@ -194,7 +195,7 @@ def test_a_base_that_holds_its_joints_goes_on_from_rest() -> None:
 def test_wheels_that_braked_by_themselves_do_not_accelerate() -> None:
     drive = Drive(ROBOTS["general"])
     drive.base.watches = True
-    drive.driver.permission.disarm()
+    drive.driver.permission.step(Rules.disarm)
     drive.step(late=0.2)
     slow = drive.base.fastest
     assert max(map(abs, drive.base.speeds[-1])) * drive.base.radius <= slow + 1e-9
