@@ -334,3 +334,20 @@ def test_a_journal_with_values_of_wrong_types_is_refused(
     got = thorvaldc("can", "flash", *NEW, "--rollback", "--yes")
     assert got.status == 1, got
     assert f"robot.flash.jsonl is not the journal of a flash: line {number + 1}" in got.err
+
+
+@pytest.mark.parametrize("command", ["scan", "scan --active", "verify", "plan", "flash --apply"])
+def test_the_devices_of_another_bus_of_the_robot_are_named(
+    thorvaldc: Command, robot: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    text = TWO_BUSES.replace("fr: {type: caster/swivel, mount: frame.front_right}", FRONT_RIGHT)
+    robot.write_text(text.replace("{id: 1,", "{bus: left, id: 1,"), encoding="utf-8")
+    words = ("can", *command.split(), "robot.yaml", "--bus", "left=virtual")
+    words += ("--yes",) if "flash" in command else ()
+    named = "the devices of the bus `right` are on the bus `left`; are the two exchanged?"
+    assert named not in thorvaldc(*words).err
+    interface = SimulatedRobot.interface
+    monkeypatch.setattr(SimulatedRobot, "interface", lambda s, _, **o: interface(s, "right", **o))
+    result = thorvaldc(*words)
+    assert result.status == 1
+    assert named in " ".join(result.err.split())

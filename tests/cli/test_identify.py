@@ -60,7 +60,7 @@ def test_the_file_of_a_robot_after_a_repair(thorvaldc: Command, workshop: Path) 
     file = workshop / "alpha" / "robot.yaml"
     text = file.read_text(encoding="utf-8").replace('"0x103"', '"0x777"')
     file.write_text(text, encoding="utf-8")
-    again = thorvaldc("can", "identify", str(workshop), "--bus", "sim:shed", "--json")
+    again = thorvaldc("can", "identify", str(workshop), "--bus", "main=sim:shed", "--json")
     assert again.status == 0
     first, second = json.loads(again.out)
     assert (first["robot"], first["differences"], first["serials"]) == ("alpha", [], 4)
@@ -87,6 +87,8 @@ def test_a_model_of_a_build_is_the_same_robot(thorvaldc: Command, workshop: Path
         (("none",), 3, "none does not exist"),
         ((".",), 2, "there is no robot file with a bus"),
         (("{workshop}", "--bitrate", "250"), 2, "the files have buses with 500 kbit/s"),
+        (("{workshop}", "--bus", "left=sim:shed"), 2, "there is no robot file with a bus left"),
+        (("{workshop}", "--bus", "main=virtual"), 2, "`virtual` simulates the robot of one file"),
         (("{workshop}", "--bus", "virtual"), 2, "`virtual` simulates the robot of one file"),
         (("{workshop}", "--bus", "sim:other"), 3, "sim:other"),
     ],

@@ -23,10 +23,12 @@ from thorvaldc.cli.robot_file import is_hardware, load_robot, select_bus
 from thorvaldc.commissioning.bus_configuration import BusConfiguration, configuration_of
 from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
 from thorvaldc.commissioning.planner import AttachStep, Plan, PlanStep, make_plan
+from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.commissioning.step_executor import Operator
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Bus, Robot
+from thorvaldc.model.bus_identity import Heard, wrong_buses
 
 UNTESTED = (
     "note: this was never tried on physical hardware, only on simulated buses. Lift the wheels "
@@ -56,13 +58,23 @@ class BusAccess:
     def make_plan(self) -> Plan:
         """Scans the CAN bus and returns the steps that commission the bus.
 
-        Raises ``DiagnosticError`` if another CANopen master is on the CAN bus.
+        Raises ``DiagnosticError`` if another CANopen master is on the CAN bus, or if the devices
+        are those of another bus of the robot.
         """
         scan = self.scanner().active(texts=False)
         self.bar.clear()
         if scan.masters:
             raise other_master_error(list(scan.masters))
+        if exchange := self.exchange(scan):
+            raise DiagnosticError("bus-wrong-robot", exchange, hint="nothing was written")
         return make_plan(self.configuration, scan)
+
+    def exchange(self, scan: ScanResult) -> str:
+        """Says that the devices of another bus of the robot are on this bus, or returns ""."""
+        serials = [entry.identity.serial for entry in scan.entries if entry.identity is not None]
+        heard = {self.bus.name: Heard(self.master.received, serials)}
+        text = wrong_buses(self.robot.buses, heard)
+        return f"{text}; are the two exchanged?" if text else ""
 
     def operator(self, unattended: bool) -> Operator | None:
         if self.virtual_operator is not None:

@@ -38,7 +38,7 @@ from thorvaldc.compiler.result import Compilation, Compile, SourceFile, read_acc
 from thorvaldc.compiler.robot_checks import check_purpose, check_robot
 from thorvaldc.compiler.robot_settings.robot_sections import check_calculator, read_design
 from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
-from thorvaldc.compiler.source.input_file import FOLDERS, missing_file_hint
+from thorvaldc.compiler.source.input_file import FOLDERS, check_no_link_outside, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import MAX_BYTES, read_file
 from thorvaldc.diagnostics import Diagnostic, Report, Severity, Span
@@ -288,8 +288,11 @@ def read_robot_lock(source: SourceFile, compilation: Compilation, report: Report
     path = lock_path(source.path)
     if not os.path.lexists(path):
         return None
+    name = lock_path(Path(source.name)).as_posix()
+    if not check_no_link_outside(path, path.parent, name, report):
+        return {}
     compilation.sources[os.path.normpath(path)] = path
-    document = read_file(path, lock_path(Path(source.name)).as_posix(), report)
+    document = read_file(path, name, report)
     return read_lock(document, report) if document is not None else {}
 
 

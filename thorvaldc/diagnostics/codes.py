@@ -210,6 +210,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV513", "can-name-conflict", "two frames or two devices on a bus have the same name"),
     _warning("TV514", "can-lock-unused", "lock file and robot file give a device different ids"),
     _warning("TV515", "can-lock-unwritable", "the lock file cannot be written"),
+    _warning("TV516", "can-buses-alike", "nothing tells two buses apart if they are exchanged"),
     _error("TV520", "can-frame-length", "a frame is longer than 8 bytes"),
     _error("TV521", "can-signal-bounds", "a signal is outside its frame"),
     _error("TV522", "can-signal-overlap", "two signals of a frame overlap"),

@@ -11,9 +11,9 @@ from tests.devices import BATTERY, DRIVE, Bench, line
 from tests.robots import FOUR_STEERED, make_robot
 from tests.slow import mostly_slow
 from thorvaldc.compiler.bus.device_sections import BusSpec
-from thorvaldc.compiler.bus.node_ids import Lock, has_pins, lock_text, read_lock
+from thorvaldc.compiler.bus.node_ids import Lock, Pin, has_pins, lock_text, read_lock
 from thorvaldc.compiler.source.reader import read_text
-from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Bus, Robot
 
 TWO_BUSES = (BusSpec("main", 500_000, line(98)), BusSpec("true", 250_000, line(99)))
@@ -66,9 +66,24 @@ def test_what_is_in_a_lock_file_comes_out_of_it_again(bench: Bench) -> None:
     lock = pinned(bench, TWO_BUSES)
     assert {key: pin.id for key, pin in lock.items()} == {
         ("main", "canopen", "true"): 1,
-        ("true", "canopen", "null"): 1,
+        ("true", "canopen", "null"): 2,
         ("main", "kc_battery", "battery"): 1,
     }
+
+
+def test_chosen_ids_are_unique_on_all_buses_of_a_robot(bench: Bench) -> None:
+    """So the start notices exchanged interfaces.  Without a free one, an id is used twice."""
+    bench.add(DRIVE, {"bus": "true", "id": 2}, name="by_hand")
+    bench.add(DRIVE, name="kept")
+    for number in range(30):
+        bench.add(DRIVE, {"bus": "true"} if number % 2 else None, name=f"m{number}")
+    lock = {("main", "canopen", "kept"): Pin(2, Span("robot.lock.yaml"))}
+    chosen = ids(bench.build(TWO_BUSES, motors=(), lock=lock))
+    assert (chosen.pop("by_hand"), chosen.pop("kept")) == (2, 2)  # the devices have these ids
+    assert sorted(chosen.values()) == [1, *range(3, 32)]
+    bench.add(DRIVE, name="one_more")
+    assert ids(bench.build(TWO_BUSES, motors=(), lock=lock))["one_more"] == 3
+    assert "can-ids-exhausted" not in [d.code.name for d in bench.report]
 
 
 def test_only_chosen_ids_need_a_lock_file(bench: Bench) -> None:

@@ -16,6 +16,7 @@ from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics.renderers import render_text
 from thorvaldc.model import Robot
 
 SOURCE = 'source: "chosen: for a test"'
@@ -231,3 +232,42 @@ def test_a_library_beside_the_robot_file_that_it_does_not_name(tmp_path: Path) -
     robot.write_text("thorvaldc: 1\nname: r\nmodules:\n  eye: {type: sensor/eye}\n")
     hint = compile_file(robot).report.errors[0].hint
     assert hint == "`library: [modules]` in this file adds modules/sensor/eye/module.yaml"
+
+
+SECRET = "root:x:0:0:secret"
+
+
+@pytest.mark.parametrize("file", ["m/frame/x/module.yaml", "m/palette.yaml", "robot.lock.yaml"])
+@pytest.mark.parametrize("leads_outside", [True, False])
+def test_a_link_to_a_file_outside_of_its_folder_is_not_read(
+    tmp_path: Path, file: str, leads_outside: bool
+) -> None:
+    home = tmp_path / "home"
+    (home / "m/frame/x").mkdir(parents=True)
+    secret = tmp_path / "secret" if leads_outside else (home / file).with_name("inside")
+    secret.write_text(SECRET)
+    (home / file).symlink_to(secret)
+    robot = home / "robot.yaml"
+    robot.write_text("thorvaldc: 1\nname: r\nlibrary: [m]\nmodules: {a: {type: frame/x}}\n")
+    compilation = compile_file(robot)
+    text = render_text(compilation.report, compilation.sources)
+    refused = [d for d in compilation.report if d.code.name == "file-unreadable"]
+    assert len(refused) == leads_outside
+    assert (SECRET in text) == (not leads_outside)
+    assert all("is a link to a file outside of its folder" in d.message for d in refused)
+
+
+@pytest.mark.parametrize("name", ["../../../secret.obj", "link.obj", "../../shared.obj"])
+def test_meshes_of_a_module_lie_in_its_library_folder(tmp_path: Path, name: str) -> None:
+    library = folder(tmp_path / "home/m", "frame/x")
+    for path in (tmp_path / "home/secret.obj", library / "shared.obj"):
+        path.write_text(TETRAHEDRON, encoding="utf-8")
+    (library / "frame/x/link.obj").symlink_to(tmp_path / "home/secret.obj")
+    module = library / "frame/x/module.yaml"
+    mesh = BLOCK.replace("sphere: {radius: 0.1}", f"mesh: {{file: {name}}}") % "1 kg"
+    module.write_text(mesh, encoding="utf-8")
+    robot = tmp_path / "home/robot.yaml"
+    robot.write_text("thorvaldc: 1\nname: r\nlibrary: [m]\nmodules: {a: {type: frame/x}}\n")
+    messages = [d.message for d in compile_file(robot).report if d.code.name == "mesh-missing"]
+    outside = f"mesh file `{name}` cannot be read: it is outside of the library folder"
+    assert messages == ([] if "shared" in name else [outside])

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Command, run_in_this_process
-from thorvaldc.commissioning.commission_report import driven_joints, motor_key
+from thorvaldc.commissioning import commission_page
+from thorvaldc.commissioning.commission_report import CommissionReport, driven_joints, motor_key
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json, to_json
@@ -261,3 +262,23 @@ def test_the_picture_marks_the_wheel_and_fits_in_80_columns(folder: Path) -> Non
     assert max(map(len, picture.splitlines())) < 80
     front, back = picture.index("[2]"), picture.index("[3]")
     assert front < back
+
+
+def test_a_report_of_a_killed_program_says_that_it_was_interrupted(
+    thorvaldc: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, written = commission_page.write_report, []
+
+    def record(path: Path, robot: Robot, report: CommissionReport) -> None:
+        write(path, robot, report)
+        written.append(json.loads(path.read_text(encoding="utf-8")))
+
+    monkeypatch.setattr(commission_page, "write_report", record)
+    robot = str(folder / "robot.yaml")
+    assert thorvaldc("can", "commission", robot, "--bus", "virtual").status == 0
+    *before_the_end, last = written
+    assert len(before_the_end) >= 3
+    for report in before_the_end:
+        assert report["interruption"] == "the program ended before all checks"
+        assert not report["passed"]
+    assert (last["interruption"], last["passed"]) == ("", True)

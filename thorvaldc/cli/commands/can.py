@@ -45,6 +45,8 @@ def scan(
             print(scan_table(scan, table_width()))
             for note in scan_notes(scan):
                 message(note)
+        if exchange := access.exchange(scan):
+            message(exchange)
         differs = any(entry.verdict != "ok" for entry in scan.entries)
         return INPUT if differs or scan.duplicates else DONE
 
@@ -96,6 +98,8 @@ def verify(
             access.master, access.configuration, access.bus, access.show_progress
         )
         access.bar.clear()
+        if exchange := access.exchange(verification.scan):
+            message(exchange)
         if json:
             print_json(verification.as_json())
         else:

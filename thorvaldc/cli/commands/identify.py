@@ -27,7 +27,12 @@ def identify(
         ),
     ],
     bus: Annotated[
-        str, typer.Option("--bus", metavar="BUS", help="socketcan:can0, slcan:PORT or sim:NAME.")
+        str,
+        typer.Option(
+            "--bus",
+            metavar="[NAME=]BUS",
+            help="socketcan:can0, slcan:PORT or sim:NAME; with NAME, only the buses of this name.",
+        ),
     ],
     bitrate: Annotated[
         str,
@@ -51,13 +56,16 @@ def identify(
     from thorvaldc.commissioning.identify import only_listens
     from thorvaldc.diagnostics import DiagnosticError
 
-    if bus.partition(":")[0] == "virtual":
+    head, equals, tail = bus.partition("=")
+    # The name of a socket may contain `=`, as in `sim:./a=b`.
+    name, interface_name = (head, tail) if equals and ":" not in head else ("", bus)
+    if interface_name.partition(":")[0] == "virtual":
         raise typer.BadParameter(
             "`virtual` simulates the robot of one file; `thorvaldc bus` gives a bus sim:NAME",
             param_hint="'--bus'",
         )
-    candidates = _candidates(files, library, trust, bitrate)
-    if is_hardware(bus):
+    candidates = _candidates(files, library, trust, bitrate, name)
+    if is_hardware(interface_name):
         message(UNTESTED)
     if why := only_listens(candidates):
         message(f"no request is sent, because it could be a command for a drive: {why}")
@@ -68,8 +76,8 @@ def identify(
         bar.show(float(number))
 
     try:
-        with bus_lock(bus):
-            interface = open_interface(bus, candidates[0].bus)
+        with bus_lock(interface_name):
+            interface = open_interface(interface_name, candidates[0].bus)
             try:
                 matches = identify_robot(interface, candidates, show_progress)
             finally:
@@ -101,9 +109,12 @@ def _print(matches: Sequence[Match]) -> None:
 
 
 def _candidates(
-    files: Sequence[str], library: Sequence[str], trust: bool, bitrate: str
+    files: Sequence[str], library: Sequence[str], trust: bool, bitrate: str, name: str
 ) -> list[Candidate]:
-    """Returns the buses of the robot files.  Raises ``typer.BadParameter`` if there are none."""
+    """Returns the buses of the robot files, with ``name`` only those of this name.
+
+    Raises ``typer.BadParameter`` if there are none.
+    """
     from thorvaldc.cli.diagnostic_output import message
     from thorvaldc.cli.robot_file import read_robot_file
     from thorvaldc.commissioning.bus_configuration import configuration_of
@@ -117,12 +128,13 @@ def _candidates(
             reason = "it is no robot" if robot else "it has errors, which `thorvaldc check` shows"
             message(f"{path} is left out: {reason}")
             continue
-        for bus in robot.buses:
+        for bus in (bus for bus in robot.buses if name in ("", bus.name)):
             # A model.json of a build beside its robot.yaml is the same robot.
             key = configuration_of(robot, bus).hash
             candidates.setdefault(key, Candidate(str(path), robot, bus))
     if not candidates:
-        raise typer.BadParameter("there is no robot file with a bus", param_hint="FOLDER")
+        text = f"there is no robot file with a bus{f' {name}' if name else ''}"
+        raise typer.BadParameter(text, param_hint="FOLDER")
     rates = sorted({candidate.bus.bitrate // 1000 for candidate in candidates.values()})
     if not bitrate and len(rates) > 1:
         raise typer.BadParameter(

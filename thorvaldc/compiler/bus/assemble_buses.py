@@ -223,10 +223,12 @@ def build_buses(
     if not placed:
         return ()
     bus_checks.check_serials(placed, report)
-    return tuple(
+    buses = tuple(
         _build_bus(spec, [p for p in placed if p.bus == spec.name], sync_period, watchdog, report)
         for spec in specs
     )
+    bus_checks.check_buses_differ(buses, report)
+    return buses
 
 
 def connect_actuators(actuators: Sequence[Actuator], buses: Sequence[Bus]) -> tuple[Actuator, ...]:

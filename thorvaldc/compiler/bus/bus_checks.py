@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 from thorvaldc.can.canopen import LSS_REQUEST, LSS_RESPONSE, TIME_STAMP
@@ -17,6 +18,7 @@ from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.model import Actuator, Bus, FrameDefinition, Robot
 from thorvaldc.model.bus import MASTER
+from thorvaldc.model.bus_identity import are_alike
 
 LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
 
@@ -157,6 +159,28 @@ def _check_heartbeats(bus: Bus, placed: Sequence[sections.Placed], report: Repor
                 ],
                 hint=f"use {2000 * period:.6g} ms or more",
             )
+
+
+def check_buses_differ(buses: Sequence[Bus], report: Report) -> None:
+    """Warns of two buses that nobody can tell apart if their CAN interfaces are exchanged."""
+    for first, second in combinations(buses, 2):
+        if not are_alike(first, second):
+            continue
+        hint = f'give the devices of `{second.name}` other ids, or state `serial: "0x..."`'
+        if any(node.automatic for node in second.nodes):
+            hint = (
+                f"the lock file keeps these ids, which may be in the devices: remove the lines of "
+                f"`{second.name}` from it, build, and write the new ids with `thorvaldc can flash`;"
+                ' or state `serial: "0x..."` of the devices'
+            )
+        report.add(
+            "can-buses-alike",
+            f"the motor controllers of the buses `{first.name}` and `{second.name}` have the same "
+            "ids and no serial numbers: if the two are exchanged, the robot drives wrongly",
+            second.span,
+            labels=[Label(first.span, "the other bus")],
+            hint=hint,
+        )
 
 
 # -- unique ids, serial numbers, COB-IDs and names ---------------------------------------

@@ -1,7 +1,8 @@
 """Assigns a node id to each CAN device of a robot, and keeps assigned ids in the lock file.
 
 A node id in the robot file has priority over a node id in the lock file.  A CAN device without a
-node id in the robot file and the lock file gets the lowest free node id of its range.
+node id in the robot file and the lock file gets the lowest node id of its range that is free on all
+buses of the robot, so that exchanged CAN interfaces are noticed.
 
 The lock file `robot.lock.yaml` of a robot file `robot.yaml` contains the node ids that the compiler
 chose.  With the lock file, a CAN device keeps its node id when other devices are added.  Every
@@ -50,7 +51,27 @@ class _Request(NamedTuple):
     serial_span: Span
 
 
-Taken = dict[tuple[str, str], dict[int, None]]  # (bus, id space) -> node ids in use
+class _UsedIds:
+    """Node ids in use, by id space: on each bus, and on any bus of the robot."""
+
+    def __init__(self) -> None:
+        self._on_bus: dict[tuple[str, str], set[int]] = {}
+        self._on_any: dict[str, set[int]] = {}
+
+    def add(self, bus: str, id_space: str, node_id: int) -> None:
+        self._on_bus.setdefault((bus, id_space), set()).add(node_id)
+        self._on_any.setdefault(id_space, set()).add(node_id)
+
+    def free(self, bus: str, id_space: str, first: int, last: int) -> int | None:
+        """Returns the lowest id that is free on all buses, or else on this bus, or ``None``.
+
+        Ids that differ on all buses show that two CAN interfaces are exchanged.
+        """
+        for used in (self._on_any.get(id_space, ()), self._on_bus.get((bus, id_space), ())):
+            free_id = next((i for i in range(first, last + 1) if i not in used), None)
+            if free_id is not None:
+                return free_id
+        return None
 
 
 def assign_ids(
@@ -76,18 +97,18 @@ def assign_ids(
     result.
     """
     requests = [(device, _request(device, specs, report)) for device in devices]
-    taken: Taken = {}
+    used = _UsedIds()
     for other in foreign:
-        taken.setdefault((other.bus, other.node.id_space), {})[other.node.id] = None
+        used.add(other.bus, other.node.id_space, other.node.id)
     for device, request in requests:
         if request.id is not None:
-            taken.setdefault((request.bus, _id_space(device)), {})[request.id] = None
+            used.add(request.bus, _id_space(device), request.id)
     pins = _pinned(requests, foreign, lock, report)
     for (bus, id_space, _), pin in pins.items():
-        taken.setdefault((bus, id_space), {})[pin.id] = None
+        used.add(bus, id_space, pin.id)
     placed = []
     for device, request in requests:
-        node_id = _id(device, request, pins, taken, report)
+        node_id = _id(device, request, pins, used, report)
         if node_id is None:
             continue
         channels = channel_names(device)
@@ -164,7 +185,7 @@ def _id(
     device: sections.Device,
     request: _Request,
     pins: dict[tuple[str, str, str], Pin],
-    taken: Taken,
+    used: _UsedIds,
     report: Report,
 ) -> int | None:
     """Returns the node id of a CAN device.
@@ -188,8 +209,7 @@ def _id(
     if pin is not None:
         return pin.id
     first, last = _id_range(device, "auto_ids", (low, high))
-    used = taken.setdefault((request.bus, id_space), {})
-    free_id = next((i for i in range(first, last + 1) if i not in used), None)
+    free_id = used.free(request.bus, id_space, first, last)
     if free_id is None:
         report.add(
             "can-ids-exhausted",
@@ -199,7 +219,7 @@ def _id(
             hint=f"give it one of {low} to {high} with `can: ...`, or use another bus",
         )
         return None
-    used[free_id] = None
+    used.add(request.bus, id_space, free_id)
     return free_id
 
 

@@ -17,13 +17,14 @@ from thorvaldc.compiler.extras import join_extras, xacro_expand
 from thorvaldc.compiler.extras.ros2_controls import check_controls, servos_of
 from thorvaldc.compiler.extras.urdf_elements import call_labels
 from thorvaldc.compiler.extras.urdf_reader import UrdfParts, read_urdf
-from thorvaldc.compiler.extras.xacro_rules import find_package, is_below
+from thorvaldc.compiler.extras.xacro_rules import find_package
 from thorvaldc.compiler.hardware.hardware_reader import Hardware
 from thorvaldc.compiler.hardware.robot_parts import RobotParts
 from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.shapes.meshes import load_mesh
 from thorvaldc.compiler.source.input_file import FOLDERS, XACRO_FILES, missing_file_hint
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.readable_folders import is_below
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
@@ -369,7 +370,7 @@ def _read_parts(
         diagnostics = Report()
         display = paths.name(str(path))
         mesh = None
-        if readable is not None and not is_below(os.path.realpath(path), readable):
+        if readable is not None and not is_below(path, readable):
             code, message, hint = _FAILURES["forbidden"]
             text = f"the mesh file `{display}` is outside of the folders that may be read"
             diagnostics.add(code, message.format(text=text), element.span, hint=hint)

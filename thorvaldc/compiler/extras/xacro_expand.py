@@ -18,6 +18,7 @@ from typing import Any
 
 from thorvaldc.compiler.extras import xacro_worker
 from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, limited_worker
+from thorvaldc.compiler.source.readable_folders import real_folders
 from thorvaldc.diagnostics import Span
 
 LIMITS = WorkerLimits(
@@ -206,7 +207,7 @@ def readable_folders(
         with contextlib.suppress(OSError):
             near = [above, *(above / name for name in os.listdir(above))]
             folders += [path for path in near if os.path.isfile(path / "package.xml")]
-    return sorted({os.path.realpath(path) for path in folders})
+    return real_folders(folders)
 
 
 _remembered: ContextVar[dict[str, Any] | None] = ContextVar("xacro expansions", default=None)

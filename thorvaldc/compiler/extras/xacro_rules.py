@@ -201,11 +201,6 @@ def builtins_for(read_attribute: Callable[[Any, str], Any], functions: dict[str,
 # -- files and folders of ROS packages ----------------------------------------------
 
 
-def is_below(path: str, folders: Sequence[str]) -> bool:
-    """Whether a path is one of the folders or below one.  All of them have no links."""
-    return any(path == folder or path.startswith(os.path.join(folder, "")) for folder in folders)
-
-
 def find_package(
     name: str,
     packages: dict[str, str],

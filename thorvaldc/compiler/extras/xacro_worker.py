@@ -25,6 +25,7 @@ from xml.dom import expatbuilder
 from xml.parsers.expat import ExpatError
 
 from thorvaldc.compiler.extras import xacro_rules
+from thorvaldc.compiler.source.readable_folders import is_below
 
 Position = tuple[int, int, int]  # index of the file, line, column
 
@@ -155,7 +156,7 @@ class Expansion:
     def open(self, filename: str, mode: str = "r") -> Any:
         """Replaces the builtin ``open``, with which xacro reads YAML files."""
         path = os.path.realpath(self.in_sources(filename))
-        if self.folders is not None and not xacro_rules.is_below(path, self.folders):
+        if self.folders is not None and not is_below(path, self.folders):
             text = f"the file `{filename}` is outside of the folders that may be read"
             raise ExpansionError("forbidden", text)
         return open(path, mode)

@@ -23,6 +23,7 @@ from thorvaldc.compiler.shapes.meshes import load_mesh
 from thorvaldc.compiler.shapes.solids import uniform_solid
 from thorvaldc.compiler.source.dimensions import EXPECTED, element_of
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.readable_folders import is_below, real_folders
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import INVALID, entries, items
 from thorvaldc.diagnostics import Proposal, Report, did_you_mean, nearest, plain
@@ -418,6 +419,17 @@ class _HardwareReader:
             return None
         name = scope.text(file)
         factors = self._mesh_scale(node.get("scale"), scope)
+        is_builtin = self.module.display.startswith(BUILTIN_LIBRARY)
+        if not is_builtin and not is_below(
+            self.module.folder / name, real_folders([self.module.library_folder])
+        ):
+            self.report.add(
+                "mesh-missing",
+                f"mesh file `{name}` cannot be read: it is outside of the library folder",
+                file.span,
+                hint="copy it beside the module file",
+            )
+            return None
         mesh = load_mesh(
             self.module.folder / name,
             file.span,
@@ -425,7 +437,7 @@ class _HardwareReader:
             display=name,
             scale=factors,
             collides=collides,
-            is_builtin=self.module.display.startswith(BUILTIN_LIBRARY),
+            is_builtin=is_builtin,
             named_in=(self.module.folder, file),
         )
         if mesh is None:

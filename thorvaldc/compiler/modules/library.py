@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from thorvaldc.compiler.source.input_file import unsaved_text
+from thorvaldc.compiler.source.input_file import check_no_link_outside, unsaved_text
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check
@@ -63,6 +63,11 @@ class ModuleType:
         """
         category = self.document.get("category")
         return str(category.value) if category is not None else self.name.split("/")[0]
+
+    @property
+    def library_folder(self) -> Path:
+        """Folder to which the name of the module type is relative."""
+        return self.folder.parents[self.name.count("/")]
 
     def section(self, key: str) -> dict[str, Node]:
         """Returns the entries of a section of the module document, or ``{}`` if the document has no
@@ -136,6 +141,15 @@ def _load_module(name: str, path: Path, display: str, report: Report) -> ModuleT
     return _read_cached(_module_cache, path, display, report, read)
 
 
+def _is_in_library(path: Path, folder: Path, display: str, report: Report) -> bool:
+    """Returns whether a file is in its library folder after its links, and reports an error if not.
+
+    The built-in library comes with this program, and some installations of it consist of links.
+    """
+    is_builtin = display.startswith(BUILTIN_LIBRARY)
+    return is_builtin or check_no_link_outside(path, folder, display, report)
+
+
 class Library:
     """The library folders of one compilation.
 
@@ -184,8 +198,11 @@ class Library:
             # The function `isfile` returns false for a text that is not a valid path.
             if os.path.isfile(path):
                 display = f"{folder_display}/{name}/{FILE}"
-                self._files[display] = path
-                module = _load_module(name, path, display, report)
+                module = None
+                # Diagnostics show lines of the files in `files`.
+                if _is_in_library(path, folder, display, report):
+                    self._files[display] = path
+                    module = _load_module(name, path, display, report)
                 self._types[name] = module
                 return module
         report.add(
@@ -244,6 +261,8 @@ class Library:
                 path = folder / PALETTE
                 if path.is_file():
                     display = f"{folder_display}/{PALETTE}"
+                    if not _is_in_library(path, folder, display, palette_report):
+                        continue
                     self._files[display] = path
                     colors = _read_cached(
                         _palette_cache, path, display, palette_report, _read_colors

@@ -27,6 +27,7 @@ from urllib.parse import unquote
 from thorvaldc.compiler.shapes import mesh_formats
 from thorvaldc.compiler.source.input_file import missing_file_hint, near_path
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.readable_folders import is_below, real_folders
 from thorvaldc.diagnostics import Report, Span, plain
 from thorvaldc.diagnostics.files import read_bounded
 from thorvaldc.model import Mesh, Vec3
@@ -229,10 +230,9 @@ def _worker(workers: dict[bool, Worker], converts: bool) -> Worker:
 
 def _needed_file(mesh: Path, name: str, files: dict[str, bytes]) -> bytes:
     """Reads a file to which a mesh file refers.  It must be below the folder of the mesh file."""
-    folder = os.path.realpath(mesh.parent)
-    needed = Path(os.path.realpath(os.path.join(folder, unquote(name))))
+    needed = mesh.parent / unquote(name)
     shown = name if len(name) < 100 else f"{name[:100]}..."
-    if not needed.is_relative_to(folder):
+    if not is_below(needed, real_folders([mesh.parent])):
         text = f"refers to the file `{shown}`, which is not below its folder"
         raise mesh_formats.MeshError("mesh-invalid", text, "put the file beside the mesh")
     try:

@@ -16,6 +16,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from thorvaldc.compiler.source.node import Node, yaml_text
+from thorvaldc.compiler.source.readable_folders import is_below, real_folders
 from thorvaldc.diagnostics import Proposal, Report, Span, nearest
 from thorvaldc.diagnostics.files import read_bounded
 
@@ -41,6 +42,19 @@ def unsaved_text(path: Path) -> bytes | None:
     """Returns the unsaved content of a file, or ``None`` if the file on the disk is to be read."""
     texts = _unsaved.get(None)
     return texts.get(os.path.realpath(path)) if texts else None
+
+
+def check_no_link_outside(path: Path, folder: Path, display: str, report: Report) -> bool:
+    """Returns whether a file is in a folder after its links, and reports an error if not."""
+    if is_below(path, real_folders([folder])):
+        return True
+    report.add(
+        "file-unreadable",
+        f"`{display}` cannot be read: it is a link to a file outside of its folder",
+        Span(display),
+        hint="copy the file to the place of the link",
+    )
+    return False
 
 
 def read_bytes(

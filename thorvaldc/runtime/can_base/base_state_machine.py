@@ -46,6 +46,7 @@ from typing import Final, NamedTuple
 from thorvaldc.can.canopen import NmtCommand, NmtState
 from thorvaldc.can.frame import ErrorState
 from thorvaldc.model import Robot
+from thorvaldc.model.bus_identity import wrong_buses
 from thorvaldc.model.bus_timing import start_reading_time
 from thorvaldc.runtime.can_base.bus_connection import BusConnection, hold_time
 from thorvaldc.runtime.can_base.frame_receiver import OBSERVATION
@@ -82,14 +83,12 @@ class BaseState(enum.Enum):
 
     @property
     def drives(self) -> bool:
-        """``True`` if the state of the base is READY, ACTIVE or STOPPING, so that the wheels follow
-        commands."""
+        """Whether the wheels follow commands: in READY, ACTIVE and STOPPING."""
         return self in (BaseState.READY, BaseState.ACTIVE, BaseState.STOPPING)
 
     @property
     def starts(self) -> bool:
-        """``True`` if the state of the base is one of the start-up states INIT, PREOP, CONFIG and
-        HOMING."""
+        """Whether this is one of the start-up states INIT, PREOP, CONFIG and HOMING."""
         return self in (BaseState.INIT, BaseState.PREOP, BaseState.CONFIG, BaseState.HOMING)
 
 
@@ -277,11 +276,7 @@ class BaseStateMachine:
             self._enter(BaseState.STANDBY, now)
 
     def end(self) -> None:
-        """Starts the shutdown of the base: first a quick stop of all motors, then switching off the
-        motor torque.
-
-        The property ``ended`` becomes ``True`` at the end of the shutdown of the base.
-        """
+        """Starts the shutdown until ``ended``: a quick stop of all motors, then no torque."""
         self.ending = True
 
     @property
@@ -350,29 +345,26 @@ class BaseStateMachine:
 
     @property
     def may_send(self) -> bool:
-        """``True`` if no other CANopen master was detected on the bus during the state INIT.
-
-        The base driver sends no CAN frames in the state INIT.
-        """
+        """Whether the state INIT, in which the driver sends nothing, found no other master."""
         return self._may_send
 
     @property
     def operational(self) -> bool:
-        """``True`` after the NMT start command, when the base driver sends SYNC and the nodes
-        accept PDOs."""
+        """Whether the nodes were started, so that they accept PDOs and the driver sends SYNC."""
         return self._operational
 
     @property
     def may_command(self) -> bool:
-        """``True`` after the check that all motor controllers match the robot file.
-
-        The base driver must not send motor commands before ``may_command`` is ``True``.
-        """
+        """Whether all motor controllers match the robot file; before, they get no commands."""
         return self._verified
 
     # -- inside ------------------------------------------------------------------------------------
 
     def _enter(self, state: BaseState, now: float, reason: str = "") -> None:
+        if state is BaseState.FAULT and self.state in (BaseState.PREOP, BaseState.CONFIG):
+            heard = {c.bus.name: c.heard() for c in self.connections}
+            if exchange := wrong_buses([c.bus for c in self.connections], heard):
+                self.mismatch, reason = True, exchange
         self.state, self.since, self.reason = state, now, reason
         self._cause, self._verdict = reason, ""
         self._enabling_since, self._homed_now = None, False
@@ -466,8 +458,7 @@ class BaseStateMachine:
             self._hold_until = now + hold_time(self.connections)
 
     def _longer_than(self, limit: float, now: float) -> bool:
-        """Returns ``True`` if the base has been in the present state for more than ``limit``
-        seconds."""
+        """Whether the base has been in the present state for more than ``limit`` seconds."""
         return now - self.since > limit
 
     def _step_init(self, now: float) -> None:
@@ -508,12 +499,8 @@ class BaseStateMachine:
             self._enter(BaseState.FAULT, now, reason)
 
     def _step_config(self, now: float) -> None:
-        """Compares the object dictionaries and identities of the motor controllers with the robot
-        file.
-
-        Sends the NMT start command to the motor controllers after the comparison with the robot
-        file.  The state CONFIG ends when all motor controllers have sent all reports.
-        """
+        """Compares the objects and identities of the motor controllers with the robot file, and
+        starts the controllers.  The state CONFIG ends when they have sent all reports."""
         readbacks = [(n, r) for c in self.connections for n, r in c.readbacks.items()]
         for name, readback in readbacks:
             if readback.problem:

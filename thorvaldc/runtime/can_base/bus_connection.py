@@ -12,6 +12,7 @@ from thorvaldc.can import canopen
 from thorvaldc.can.frame import CanFrame, CanInterface, ErrorState
 from thorvaldc.model import Bus, FrameDefinition, Node, Robot
 from thorvaldc.model.bus import MASTER
+from thorvaldc.model.bus_identity import Heard
 from thorvaldc.model.stopping import watchdog_time, yaw_per_metre
 from thorvaldc.runtime.can_base import (
     battery_and_io_drivers,
@@ -205,6 +206,10 @@ class BusConnection:
             self._extra_responses[name] = self._extra_responses.get(name, 0.0) + 1.0
         readback.take_response(data)
         self.supervision.take_response(name, data)
+
+    def heard(self) -> Heard:
+        serials = (readback.serial for readback in self.readbacks.values())
+        return Heard(self.receiver.latest.keys(), [s for s in serials if s is not None])
 
     def clear_counts(self, boot_ups: int) -> None:
         """Forgets the frames that were counted before, and allows ``boot_ups`` further boot-up

@@ -43,6 +43,7 @@ from thorvaldc.can import sdo
 from thorvaldc.can.canopen import NmtState, heartbeat_state, nmt_state_text
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Bus, FrameDefinition, ObjectValue
+from thorvaldc.model.bus_identity import SERIAL_NUMBER
 from thorvaldc.model.stopping import HEARTBEAT_TIMEOUT, LATE_CYCLES, REPORT_TIMEOUT
 from thorvaldc.runtime.can_base.frame_receiver import LatestFrame, second_device
 from thorvaldc.runtime.can_base.motor_controller import MotorController
@@ -302,6 +303,8 @@ class ObjectReadback:
         self.response = response
         self.problem = ""
         """First mismatch, or the reason why an object cannot be read, or an empty text."""
+        self.serial: int | None = None
+        """Serial number of the node, if it was read."""
         self._remaining = list(expected)[::-1]
         self._requested_at: float | None = None
         self._tries = 0
@@ -353,6 +356,8 @@ class ObjectReadback:
             return
         content = sdo.segment_data(data) if is_segment else data[4:8]
         value = sdo.decode_number(expected.type, content)
+        if (expected.index, expected.subindex) == SERIAL_NUMBER:
+            self.serial = value
         if value != expected.value:
             self.problem = f"{_label(expected)} is {value}, but the robot file has {expected.value}"
             return

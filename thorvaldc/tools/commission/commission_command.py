@@ -93,6 +93,10 @@ def _user() -> str:
         return ""
 
 
+UNFINISHED = "the program ended before all checks"
+"""Interruption in the report while the checks run, which a killed program leaves there."""
+
+
 class _ReportFile:
     """The report that is written after each motor.
 
@@ -111,7 +115,7 @@ class _ReportFile:
         self.entries: list[ScanEntry] = []
         self.report = self.write()
 
-    def write(self, interruption: str = "") -> CommissionReport:
+    def write(self, interruption: str = UNFINISHED) -> CommissionReport:
         from thorvaldc.commissioning.commission_page import write_report
         from thorvaldc.tools.commission.report_content import report_of
 
