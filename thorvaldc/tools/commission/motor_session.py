@@ -22,6 +22,7 @@ from thorvaldc.can.frame import CanInterface
 from thorvaldc.model import Robot, TwistInput
 from thorvaldc.model.settings import REQUIRED
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointCommands, RequestRefused
+from thorvaldc.runtime.can_base.base_fault import Fault
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.can_base.motor_controller import STANDING, Axis
@@ -176,6 +177,11 @@ class MotorSession:
         """Reason of a fault or stop of the base, or an empty text."""
         state_machine = self.base.state_machine
         return state_machine.reason if state_machine.state in _STOPPED else ""
+
+    @property
+    def cause(self) -> Fault | None:
+        """Cause of a fault or stop of the base."""
+        return self.base.state_machine.fault
 
     # -- steps -------------------------------------------------------------------------------------
 
