@@ -195,3 +195,44 @@ def test_an_undisturbed_robot_passes() -> None:
     assert watchdog.value is not None
     assert 0.4 < watchdog.least <= watchdog.value
     assert all(figure.passed for figure in figures)
+
+
+@pytest.mark.parametrize("other", [False, True], ids=["before", "during a check"])
+def test_a_motor_that_turns_by_itself_is_named(other: bool) -> None:
+    """It turns before the first motion, or while another motor is checked."""
+    runaway = fault("runaway_motor", channel="right", speed=1.0)
+
+    def inject(simulated: SimulatedRobot, session: MotorSession) -> bool:
+        now = simulated.timeline.seconds
+        if not state and (moves(session) if other else now > 0.5):
+            state.append(now)
+            runaway(simulated)
+        return False
+
+    state: list[float] = []
+    outcome = run_checks(Assembly(example("2wd0ws_greenhouse")), stop=inject)
+    assert outcome.moving == ["right_drive_propulsion"]
+    text = outcome.checks.interruption
+    assert text.startswith("cut the power: wheel right_wheel (controller right) reports"), text
+    assert not passed(outcome)
+
+
+@pytest.mark.parametrize("kind", ["frozen_reports", "commands_ignored"])
+def test_a_wheel_that_may_turn_at_the_end_is_named(kind: str) -> None:
+    state: list[float] = []
+
+    def inject(simulated: SimulatedRobot, session: MotorSession) -> bool:
+        if not state and moves(session):
+            state.append(simulated.timeline.seconds)
+            fault(kind)(simulated)
+        return False
+
+    outcome = run_checks(Assembly(example("2wd0ws_greenhouse")), stop=inject)
+    assert state
+    texts = [outcome.checks.interruption, *(f.text for f in outcome.found)]
+    # A drive that ignores commands is stopped by the ladder; nobody knows about frozen reports.
+    ignored = kind == "commands_ignored"
+    stopped = "left_drive_propulsion stopped" if ignored else "cut the power: wheel left_wheel"
+    assert any(stopped in text for text in texts), texts
+    assert not outcome.moving
+    assert not passed(outcome)
