@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,7 +46,9 @@ class Figure:
 
     @property
     def passed(self) -> bool:
-        return self.value is not None and self.least <= self.value <= self.most
+        numbers = (self.least, self.value, self.most)
+        known = all(number is not None and math.isfinite(number) for number in numbers)
+        return known and self.least <= (self.value or 0.0) <= self.most
 
     @property
     def value_text(self) -> str:
@@ -172,9 +175,20 @@ class CommissionReport:
 
 
 def motor_key(robot: Robot, motor: Actuator) -> str:
-    """Returns the hash of a motor and its controller, which does not depend on lines in a file."""
-    nodes = [n for bus in robot.buses for n in bus.nodes if n.name == motor.node]
-    return hashlib.sha256(repr(_values((motor, *nodes))).encode()).hexdigest()[:16]
+    """Returns the hash of all that leads from a channel to a wheel on the ground.
+
+    That is motor, controller, joint, and the wheel with its place and radii, but no line of a file.
+    """
+    nodes = [(bus.name, n) for bus in robot.buses for n in bus.nodes if n.name == motor.node]
+    joint = robot.joint(motor.joint)
+    axis = (joint.pose, joint.axis, joint.lower, joint.upper, joint.parent, joint.child)
+    wheels = [
+        (w.name, w.x, w.y, w.heading, w.steering_sign, w.trail, w.lateral_offset, w.radius, w.radii)
+        for w in robot.wheels
+        if motor.joint in (w.spin_joint, w.steering_joint)
+    ]
+    parts = (motor, *nodes, axis, *wheels)
+    return hashlib.sha256(repr(_values(parts)).encode()).hexdigest()[:16]
 
 
 def _values(value: Any) -> Any:
@@ -197,9 +211,39 @@ def driven_joints(robot: Robot) -> list[Actuator]:
 
 def passed_motors(robot: Robot, report: CommissionReport) -> dict[str, CheckedMotor]:
     """Returns the motors of a robot that have passed and have not changed since then, by name."""
-    motors = {motor.name: motor for motor in report.motors if motor.state == PASSED}
-    keys = {motor.name: motor_key(robot, motor) for motor in driven_joints(robot)}
-    return {name: motor for name, motor in motors.items() if keys.get(name) == motor.key}
+    refused = refusals(robot, report)
+    return {m.name: m for m in report.motors if m.name in refused and not refused[m.name]}
+
+
+def refusals(robot: Robot, report: CommissionReport) -> dict[str, str]:
+    """Returns for each motor of a robot why the report does not count for it, or an empty text.
+
+    A later check goes on with the motors that count; a run needs all of them.
+    """
+    return {motor.name: _refusal(robot, motor, report) for motor in driven_joints(robot)}
+
+
+def _refusal(robot: Robot, motor: Actuator, report: CommissionReport) -> str:
+    checked = [each for each in report.motors if each.name == motor.name]
+    if report.robot != robot.name:
+        return f"was checked at the robot {report.robot}"
+    if len(checked) > 1:
+        return "is in the report more than once"
+    if not checked or checked[0].state != PASSED:
+        return f"is {checked[0].state if checked else NOT_TESTED}"
+    if checked[0].key != motor_key(robot, motor):
+        return "has changed since"
+    if any(motor.name in finding.motors for finding in report.findings):
+        return "has a finding"
+    if checked[0].moved != motor.name:
+        return f"moved {checked[0].moved or 'nothing'}"
+    if not checked[0].figures or not all(figure.passed for figure in checked[0].figures):
+        return "has a figure that is missing or out of its bounds"
+    for node in (n for bus in robot.buses for n in bus.nodes if n.name == motor.node):
+        serials = {each.serial for each in report.nodes if each.name == node.name}
+        if node.serial is not None and serials != {int(node.serial, 0)}:
+            return f"was checked with another {node.name}"
+    return ""
 
 
 def read_report(path: Path) -> CommissionReport:
@@ -216,11 +260,13 @@ def read_report(path: Path) -> CommissionReport:
         raise _not_commissioned(f"{path} is no report of `can commission`")
     if (version := content.pop("version", None)) != VERSION:
         raise _not_commissioned(f"{path} has the version {version}, not {VERSION}")
-    content.pop("passed", None)
+    passed = content.pop("passed", None)
     try:
         report: CommissionReport = typed_value(CommissionReport, content, "report")
     except ModelFormatError as error:
         raise _not_commissioned(f"{path}: {error}") from None
+    if passed is not report.passed:
+        raise _not_commissioned(f"{path}: `passed` does not fit its motors; was it edited?")
     return report
 
 
@@ -233,12 +279,12 @@ def require_commissioned(path: Path, robot: Robot) -> None:
 
 
 def _missing(robot: Robot, report: CommissionReport) -> Iterator[str]:
-    passed = passed_motors(robot, report)
-    states = {motor.name: motor.state for motor in report.motors}
-    for motor in driven_joints(robot):
-        if motor.name not in passed:
-            state = states.get(motor.name, NOT_TESTED)
-            yield f"{motor.name} {'has changed since' if state == PASSED else f'is {state}'}"
+    reasons = refusals(robot, report)
+    yield from (f"{name} {reason}" for name, reason in reasons.items() if reason)
+    if report.interruption:
+        yield f"the checks were interrupted: {report.interruption}"
+    elif report.findings and not any(reasons.values()):
+        yield "it has findings"
 
 
 def _not_commissioned(reason: str) -> DiagnosticError:

@@ -184,7 +184,7 @@ class BaseHandle(abc.ABC):
         return ""
 
     def fail(self, reason: str) -> None:
-        """Puts the base into a fault for a reason that the base does not see itself."""
+        """Puts the base into a fault because of a gap in time, which it does not see itself."""
         return
 
     def note_cycle(self, now: float, *, stale: bool) -> None:

@@ -19,14 +19,14 @@ Requests that only read or stop the robot count however old they are, and also i
 closed its connection.
 
 Clients could delay a control cycle with long lines, too many requests or unread answers.  Therefore
-all clients together have ``MOST_REQUESTS`` requests and ``LONGEST_LINE`` bytes in a cycle, and they
-take turns.  The next cycle continues with the client whose turn it is:
+no request is begun ``LONGEST_POLL`` after the first one of a cycle.  They take turns; the client
+that was answered longest ago is the next one:
 
-    client   a   b   c        turn 1     turn 2     turn 3
-    waiting  500 1   500      a1 b1 c1   a2 c2      a3 c3  ...  until the limit
+    client   a   b   c        cycle 1              cycle 2
+    waiting  500 1   500      a1 b1 c1 a2 c2 a3    c3 a4 c4 a5 c5 a6
 
-A client that sends one request at a time, such as a stop, is thus answered in the next cycle,
-however many requests the others send.
+A stop of a client that has been silent is thus answered in the next cycle, however many requests
+the others send.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ import json
 import math
 import socket
 import struct
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -46,10 +47,10 @@ from thorvaldc.diagnostics.installation import program_version
 from thorvaldc.runtime.service_table import Argument, Caller, ServiceError, Services
 
 LONGEST_LINE = 65536
-"""Largest length of a request, and of all requests that begin in a cycle, in bytes."""
+"""Largest length of a request, in bytes."""
 MOST_CLIENTS = 32
-MOST_REQUESTS = 64
-"""Largest number of requests of all clients in a cycle; more requests wait for the next cycle."""
+LONGEST_POLL = 0.004
+"""Real time (s) of a cycle after which no further request is begun, a fifth of it at 50 Hz."""
 LONGEST_WAIT = 0.05
 """Longest time (s) for which a request may wait and still count, 2.5 cycles at 50 Hz."""
 _ROUNDING = 1e-9
@@ -73,7 +74,8 @@ class _Client:
 
     - ``emptied``: time (s) of the last poll at which no request of the client was waiting;
     - ``closed``: ``True`` if the client has closed its side of the connection;
-    - ``ended``: ``True`` if the server reads nothing more from the client.
+    - ``ended``: ``True`` if the server reads nothing more from the client;
+    - ``answered``: number of requests of all clients until its latest one.
     """
 
     def __init__(self, stream: socket.socket, name: str, emptied: float) -> None:
@@ -84,6 +86,7 @@ class _Client:
         self.out = bytearray()
         self.closed = False
         self.ended = False
+        self.answered = 0
 
     @property
     def has_request(self) -> bool:
@@ -118,8 +121,10 @@ class ControlServer:
         self.services = services
         self._longest_wait = longest_wait
         self._closed = closed
+        self.real_time = time.monotonic
+        """Clock (s) of ``LONGEST_POLL``."""
         self._clients: list[_Client] = []
-        self._connections = 0
+        self._connections = self._requests = 0
         self._last_poll = -math.inf
         self._now = 0.0
         self._listener = listen(self.path, "a driver")
@@ -181,21 +186,16 @@ class ControlServer:
                 self._clients.append(_Client(stream, name, since))
 
     def _answer_in_turns(self, now: float) -> None:
-        """Answers one request of each client after another, up to the limits of a cycle."""
-        requests = size = 0
-        waiting = [client for client in self._clients if client.has_request]
-        while waiting:
-            for client in waiting:
-                if requests >= MOST_REQUESTS or size >= LONGEST_LINE:
-                    # The next cycle begins with this client.
-                    first = self._clients.index(client)
-                    self._clients = self._clients[first:] + self._clients[:first]
-                    return
-                line, _, client.unread = client.unread.partition(b"\n")
-                client.out += _line(self._answer(line, client, now))
-                requests += 1
-                size += len(line)
-            waiting = [client for client in waiting if client.has_request]
+        """Answers one request of each client after another, for ``LONGEST_POLL``."""
+        until = self.real_time() + LONGEST_POLL
+        while waiting := [client for client in self._clients if client.has_request]:
+            client = min(waiting, key=lambda client: client.answered)
+            line, _, client.unread = client.unread.partition(b"\n")
+            client.out += _line(self._answer(line, client, now))
+            self._requests += 1
+            client.answered = self._requests
+            if self.real_time() >= until:
+                return
 
     def _send(self, client: _Client) -> None:
         """Sends the answers of a client, and ends its connection if nothing more will come."""

@@ -7,8 +7,11 @@ import re
 import pytest
 
 from tests.runtime.can_base.simulated_rig import Rig
+from tests.runtime.can_base.test_can_base import four_wheels
 from tests.simulation.bus.robots import CIA402, at_home, compiled
+from thorvaldc.runtime.can_base.base_fault import Cause
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
+from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 SCRIPT = re.sub(r', serial: "\w+"', "", CIA402.replace("cia402_propulsion", "propulsion"))
@@ -30,3 +33,24 @@ def test_the_slowest_cycle_starts_drives_stops_and_ends(text: str) -> None:
     assert rig.speed() < 1e-3
     rig.driven.shutdown()
     assert rig.reason == "the safety stop is engaged"
+
+
+def test_cycles_that_last_too_long_are_named_as_such() -> None:
+    """The frames of such a cycle are too old to be sent, on a bus without a fault."""
+    rig = Rig(four_wheels())
+    rig.drive()
+    feed = rig.driven.feed
+    assert feed is not None
+
+    def slowly(driver: BaseDriver, now: float) -> None:
+        feed(driver, now)
+        rig.stall(1.1 * rig.base.period)
+
+    rig.driven.feed = slowly
+    rig.run(10 * rig.base.period)
+    assert rig.base.state_machine.fault is not None
+    assert rig.base.state_machine.fault.cause is Cause.GAP
+    assert "control cycles in a row lasted too long; is the computer" in rig.reason
+    rig.driven.feed = feed
+    rig.run(2.0)
+    assert rig.speed() == 0.0

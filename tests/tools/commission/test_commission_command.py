@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.cli.conftest import Command, run_in_this_process
 from thorvaldc.commissioning import commission_page
-from thorvaldc.commissioning.commission_report import CommissionReport, driven_joints, motor_key
+from thorvaldc.commissioning.commission_report import (
+    CommissionReport,
+    driven_joints,
+    motor_key,
+    passed_motors,
+    read_report,
+    require_commissioned,
+)
 from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json, to_json
 from thorvaldc.runtime.can_base.motor_controller import Axis
@@ -188,6 +199,74 @@ def test_a_damaged_report_is_an_error(
     assert damaged.status == 1
     assert "TV881" in damaged.err
     assert text in damaged.err
+
+
+Edit = Callable[[dict[str, Any]], object]
+EDITS: dict[str, Edit] = {
+    "not passed": lambda report: report.update(passed=False),
+    "interrupted": lambda report: report.update(interruption="power cut", passed=False),
+    "interrupted, edited": lambda report: report.update(interruption="power cut"),
+    "finding": lambda report: report.update(
+        passed=False, findings=[{"motors": [], "text": "a", "change": "b"}]
+    ),
+    "finding of a motor": lambda report: report.update(
+        passed=False,
+        findings=[{"motors": ["left_drive_propulsion"], "text": "a", "change": "b"}],
+    ),
+    "no figures": lambda report: report["motors"][0].update(figures=[]),
+    "figure out of bounds": lambda report: report["motors"][0]["figures"][0].update(value=9e9),
+    "figure not reached": lambda report: report["motors"][0]["figures"][0].update(value=None),
+    "unbounded figure": lambda report: report["motors"][0]["figures"][0].update(most=math.inf),
+    "another robot": lambda report: report.update(robot="barn"),
+    "a motor twice": lambda report: report["motors"].append(report["motors"][0]),
+    "no motor": lambda report: report["motors"].pop(),
+    "another joint moved": lambda report: report["motors"][0].update(
+        moved="right_drive_propulsion"
+    ),
+    "another key": lambda report: report["motors"][0].update(key="0" * 16),
+}
+
+
+@pytest.mark.parametrize("edit", EDITS.values(), ids=EDITS)
+def test_a_report_that_does_not_count_is_refused(folder: Path, report: str, edit: Edit) -> None:
+    robot = compile_file(folder / "robot.yaml").model
+    assert isinstance(robot, Robot)
+    path = folder / "robot.commission.json"
+    path.write_text(report, encoding="utf-8")
+    require_commissioned(path, robot)
+    content = json.loads(report)
+    edit(content)
+    path.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(DiagnosticError):
+        require_commissioned(path, robot)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("width: 0.9 m", "width: 1.1 m"),
+        ("frame.front_left}\n  right", "frame.front_right}\n  right"),
+        ("front_left}", "front_left, params: {inverted: true}}"),
+    ],
+)
+def test_a_wheel_at_another_place_has_not_been_checked(
+    folder: Path, report: str, old: str, new: str
+) -> None:
+    """Another track, exchanged mounts, another direction."""
+    text = (folder / "robot.yaml").read_text(encoding="utf-8")
+    assert old in text
+    changed = text.replace(old, new)
+    if "frame.front_right}\n  right" in changed:
+        right = "right: {type: assembly/fixed_drive, mount: frame.front_"
+        changed = changed.replace(f"{right}right", f"{right}left")
+    (folder / "robot.yaml").write_text(changed, encoding="utf-8")
+    robot = compile_file(folder / "robot.yaml").model
+    assert isinstance(robot, Robot)
+    path = folder / "robot.commission.json"
+    path.write_text(report, encoding="utf-8")
+    assert "left_drive_propulsion" not in passed_motors(robot, read_report(path))
+    with pytest.raises(DiagnosticError, match="left_drive_propulsion has changed since"):
+        require_commissioned(path, robot)
 
 
 def test_a_page_contains_no_markup_of_a_report(

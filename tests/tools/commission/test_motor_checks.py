@@ -231,7 +231,9 @@ class PressingOperator(SimulatedOperator):
     def ask(self, question: Question) -> None:
         super().ask(question)
         drives = self._simulated.devices.values()
-        if question.kind == "press":
+        if question.kind == "pressed":
+            self._answer = (True,)
+        elif question.kind == "press":
             self._answer = (True,)
             for drive in drives:
                 drive.after(

@@ -48,6 +48,7 @@ from thorvaldc.can.frame import ErrorState
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_identity import wrong_buses
 from thorvaldc.model.bus_timing import start_reading_time
+from thorvaldc.runtime.can_base.base_fault import Cause, Fault
 from thorvaldc.runtime.can_base.bus_connection import BusConnection, hold_time
 from thorvaldc.runtime.can_base.frame_receiver import OBSERVATION
 from thorvaldc.runtime.can_base.motor_controller import Intent, MotorController
@@ -105,8 +106,6 @@ class StateChange(NamedTuple):
     reason: str
 
 
-HOME_NOT_FOUND: Final = "the steering did not find its home position"
-"""Begin of the reason of a fault."""
 READING_SHARE: Final = 2.0
 """Longest time of the reading of all objects, as a multiple of the time without a lost frame."""
 
@@ -138,7 +137,8 @@ class Times:
 class BaseStateMachine:
     """State machine of a robot base on CAN.
 
-    - ``reason``: reason for the state FAULT or ESTOP, empty in other states;
+    - ``fault``: cause of the state FAULT or ESTOP, ``None`` in other states; ``reason``: its text,
+      with the verdict of the ladder;
     - ``was_ready``: ``True`` if the base has been in READY at least once;
     - ``was_started``: ``True`` if the base has passed CONFIG at least once;
     - ``mismatch``: ``True`` if the state is FAULT because a node does not match the robot file;
@@ -168,6 +168,7 @@ class BaseStateMachine:
         self.state = BaseState.INIT
         self.since = -math.inf
         """Time (s) at which the base entered its present state."""
+        self.fault: Fault | None = None
         self.reason = ""
         self.stop_engaged = False
         self.ending = False
@@ -186,14 +187,14 @@ class BaseStateMachine:
         self._enabling_since: float | None = None
         self._homed_now = False
         self._to_restart: list[tuple[BusConnection, MotorController]] = []
-        self._reported_problem = ""
+        self._reported_problem: Fault | None = None
         self._now = -math.inf
         self._hold_until = -math.inf
         """Time (s) until which the wheels keep their speed in FAULT; see ``hold_time``."""
         self._released = False
         """``True`` if all motors stand and need no torque any more."""
-        self._cause, self._verdict = "", ""
-        """Parts of ``reason``: the cause of the state, and the end of the ladder."""
+        self._verdict = ""
+        """Part of ``reason``: the end of the ladder."""
 
     @property
     def controllers(self) -> list[MotorController]:
@@ -209,9 +210,9 @@ class BaseStateMachine:
         """
         self.stop_engaged = engaged
 
-    def fail(self, reason: str) -> None:
+    def fail(self, reason: str, cause: Cause = Cause.OTHER) -> None:
         """Reports a problem of the base; the next ``update`` enters the state FAULT."""
-        self._reported_problem = self._reported_problem or reason
+        self._reported_problem = self._reported_problem or Fault(cause, reason)
 
     def reset(self, now: float, commanded: bool) -> str:
         """Leaves the state FAULT or ESTOP, and restarts the start-up of the base at the state
@@ -246,7 +247,7 @@ class BaseStateMachine:
             connection.failures_in_a_row = 0
             if connection.interface.state is ErrorState.BUS_OFF:
                 connection.interface.restart()
-        self._reported_problem = ""
+        self._reported_problem = None
         self._observed_since = now
         self._enter(BaseState.PREOP, now)
         return ""
@@ -360,13 +361,13 @@ class BaseStateMachine:
 
     # -- inside ------------------------------------------------------------------------------------
 
-    def _enter(self, state: BaseState, now: float, reason: str = "") -> None:
+    def _enter(self, state: BaseState, now: float, fault: Fault | None = None) -> None:
         if state is BaseState.FAULT and self.state in (BaseState.PREOP, BaseState.CONFIG):
             heard = {c.bus.name: c.heard() for c in self.connections}
             if exchange := wrong_buses([c.bus for c in self.connections], heard):
-                self.mismatch, reason = True, exchange
-        self.state, self.since, self.reason = state, now, reason
-        self._cause, self._verdict = reason, ""
+                self.mismatch, fault = True, Fault(Cause.START, exchange)
+        self.state, self.since, self.fault, self._verdict = state, now, fault, ""
+        self.reason = fault.text if fault else ""
         self._enabling_since, self._homed_now = None, False
         self._hold_until = -math.inf
         if state in (BaseState.INIT, BaseState.PREOP):
@@ -388,7 +389,7 @@ class BaseStateMachine:
         elif state is BaseState.READY:
             self.was_ready = True
         if self.changed is not None:
-            self.changed(now, state, reason)
+            self.changed(now, state, self.reason)
 
     def _supervise_motion(self, now: float) -> None:
         """Compares the motion of all motors with the commands of the last cycle."""
@@ -406,9 +407,10 @@ class BaseStateMachine:
         if verdict == self._verdict:
             return
         if self.state not in (BaseState.FAULT, BaseState.ESTOP):
-            self._enter(BaseState.FAULT, now, verdict)
+            self._enter(BaseState.FAULT, now, Fault(Cause.MOTION, verdict))
         else:
-            self.reason = "; ".join(text for text in (self._cause, verdict) if text)
+            cause = self.fault.text if self.fault else ""
+            self.reason = "; ".join(text for text in (cause, verdict) if text)
             if self.changed is not None:
                 self.changed(now, self.state, self.reason)
         self._verdict = verdict
@@ -423,13 +425,16 @@ class BaseStateMachine:
         if a problem was detected."""
         if self.stop_engaged:
             if self.state is not BaseState.ESTOP:
-                self._enter(BaseState.ESTOP, now, "the safety stop is engaged")
+                fault = Fault(Cause.STOP, "the safety stop is engaged")
+                self._enter(BaseState.ESTOP, now, fault)
             return
         if self.state in (BaseState.FAULT, BaseState.ESTOP):
             return
-        problem, self._reported_problem = self._reported_problem, ""
+        problem, self._reported_problem = self._reported_problem, None
         for connection in self.connections:
-            problem = problem or connection.impostor() or connection.receiver.lost
+            problem = problem or connection.impostor()
+            if not problem and connection.receiver.lost:
+                problem = Fault(Cause.BUS, connection.receiver.lost)
         if problem:
             self._enter_fault(now, problem)
             return
@@ -438,9 +443,8 @@ class BaseStateMachine:
             return
         for controller in self.controllers:
             if controller.power_loss and self.state is not BaseState.STANDBY:
-                self._enter(
-                    BaseState.ESTOP, now, f"{controller.node.name}: {controller.power_loss}"
-                )
+                fault = Fault(Cause.POWER, controller.power_loss, controller.node.name)
+                self._enter(BaseState.ESTOP, now, fault)
                 return
         for connection in self.connections:
             problem = connection.problem(now)
@@ -451,9 +455,9 @@ class BaseStateMachine:
                 self._enter_fault(now, problem)
                 return
 
-    def _enter_fault(self, now: float, reason: str) -> None:
+    def _enter_fault(self, now: float, fault: Fault) -> None:
         drove = self.state.drives
-        self._enter(BaseState.FAULT, now, reason)
+        self._enter(BaseState.FAULT, now, fault)
         if drove:
             self._hold_until = now + hold_time(self.connections)
 
@@ -496,7 +500,7 @@ class BaseStateMachine:
                 reason = f"no heartbeat of {names}; is it connected, is its node id right?"
             else:
                 reason = f"not pre-operational in time: {names}"
-            self._enter(BaseState.FAULT, now, reason)
+            self._enter(BaseState.FAULT, now, Fault(Cause.START, reason))
 
     def _step_config(self, now: float) -> None:
         """Compares the objects and identities of the motor controllers with the robot file, and
@@ -504,12 +508,12 @@ class BaseStateMachine:
         readbacks = [(n, r) for c in self.connections for n, r in c.readbacks.items()]
         for name, readback in readbacks:
             if readback.problem:
-                self._enter_mismatch(now, f"{name}: {readback.problem}")
+                self._enter_mismatch(now, name, readback.problem)
                 return
         if not all(readback.finished for _, readback in readbacks):
             if self._longer_than(self.times.configure, now):
                 reason = "the objects of the controllers could not be read in time"
-                self._enter(BaseState.FAULT, now, reason)
+                self._enter(BaseState.FAULT, now, Fault(Cause.START, reason))
             return
         if not self._operational:
             self._operational = True
@@ -524,7 +528,7 @@ class BaseStateMachine:
                 name = controller.node.name
                 mismatch = controller.identity_mismatch()
                 if mismatch:
-                    self._enter_mismatch(now, f"{name}: {mismatch}")
+                    self._enter_mismatch(now, name, mismatch)
                     return
                 started = watchdog.is_in_state(controller, NmtState.OPERATIONAL, self._nmt_sent_at)
                 if not started and now >= self._repeat_at:
@@ -542,11 +546,11 @@ class BaseStateMachine:
             self._enter(BaseState.HOMING if turns else BaseState.STANDBY, now)
         elif self._longer_than(self.times.configure, now):
             reason = f"no complete reports in time from {', '.join(incomplete)}"
-            self._enter(BaseState.FAULT, now, reason)
+            self._enter(BaseState.FAULT, now, Fault(Cause.START, reason))
 
-    def _enter_mismatch(self, now: float, reason: str) -> None:
+    def _enter_mismatch(self, now: float, node: str, reason: str) -> None:
         self.mismatch = True
-        self._enter(BaseState.FAULT, now, reason)
+        self._enter(BaseState.FAULT, now, Fault(Cause.START, reason, node))
 
     def _step_homing(self, now: float) -> None:
         """Homes the steering motors, enables all motors, and waits until all steering joints have
@@ -555,8 +559,8 @@ class BaseStateMachine:
         if unhomed:
             self._homed_now = True
             if self._longer_than(self.times.home, now):
-                reason = f"{HOME_NOT_FOUND}: {', '.join(unhomed)}"
-                self._enter(BaseState.FAULT, now, reason)
+                reason = f"the steering did not find its home position: {', '.join(unhomed)}"
+                self._enter(BaseState.FAULT, now, Fault(Cause.HOMING, reason))
             return
         if self._enabling_since is None:
             self._enabling_since = now
@@ -573,12 +577,12 @@ class BaseStateMachine:
         elif now - self._enabling_since > self.times.enable:
             names = ", ".join(c.node.name for c in powered if not c.follows)
             reason = f"motors not enabled in time: {names}" if names else "the wheels do not stop"
-            self._enter(BaseState.FAULT, now, reason)
+            self._enter(BaseState.FAULT, now, Fault(Cause.MOTION, reason))
 
 
-def _not_following(controllers: Sequence[MotorController]) -> str:
-    """Returns a message if a motor controller is not enabled and homed, else an empty text."""
+def _not_following(controllers: Sequence[MotorController]) -> Fault | None:
+    """Returns the fault of a motor controller that is not enabled and homed, or ``None``."""
     for controller in controllers:
         if controller.powered and not (controller.follows and controller.homed):
-            return f"{controller.node.name}: it is no longer enabled and homed"
-    return ""
+            return Fault(Cause.DRIVE, "it is no longer enabled and homed", controller.node.name)
+    return None

@@ -20,6 +20,7 @@ from thorvaldc.runtime.can_base import (
     motor_controller,
     node_watchdog,
 )
+from thorvaldc.runtime.can_base.base_fault import Cause, Fault
 from thorvaldc.runtime.can_base.foreign_frame_relay import Relay
 
 OCCASIONAL_AT_REST, OCCASIONAL_DRIVING = 8, 1
@@ -49,7 +50,8 @@ class BusConnection:
     - ``starved``: ``True`` if only NMT commands are sent, so that nothing feeds the watchdogs of
       the nodes, see ``stop_ladder``;
     - ``outbox``: frames that are sent once, when a cycle has room for the frame;
-    - ``not_sent``: number of frames that the CAN interface did not accept;
+    - ``not_sent``: number of frames that the CAN interface did not accept, ``not_sent_before``:
+      until the last complete cycle;
     - ``malformed``: number of received frames that were too short, or had a number that is not
       finite.
     """
@@ -84,7 +86,7 @@ class BusConnection:
         self.outbox: deque[CanFrame] = deque()
         self.send_until = math.inf
         self.starved = False
-        self.not_sent = 0
+        self.not_sent = self.not_sent_before = 0
         self.malformed = 0
         self.failures_in_a_row = 0
         self._next_controller = 0
@@ -219,30 +221,31 @@ class BusConnection:
         self.watchdog.allow_boot_ups(boot_ups)
         self._extra_responses.clear()
 
-    def impostor(self) -> str:
-        """Returns a reason to stop if another master, or a second device with the id of a motor
-        controller, is on the bus; otherwise returns an empty text."""
+    def impostor(self) -> Fault | None:
+        """Returns the fault if another master, or a second device with the id of a motor
+        controller, is on the bus, else ``None``."""
         if self.foreign_master:
-            return self.foreign_master
+            return Fault(Cause.MASTER, self.foreign_master)
         if not (self.rates.excessive or self._extra_responses or self.watchdog.has_boot_ups):
-            return ""
+            return None
         if self.rates.missed_time:
-            return (
+            return Fault(
+                Cause.GAP,
                 f"the nodes on the bus `{self.bus.name}` have sent the frames of "
                 f"{self.rates.missed_time:.2f} s more than the clock of the computer shows; did it "
-                "sleep, or do all frames arrive twice?"
+                "sleep, or do all frames arrive twice?",
             )
         for controller in self.controllers:
             name = controller.node.name
             if self._extra_responses.get(name, 0.0) > EXTRA_RESPONSES:
-                return (
-                    f"{name}: more SDO responses ({self._sdo[name][1]:#05x}) than requests; "
-                    f"{frame_receiver.second_device(controller.node.id)}"
-                )
+                second = frame_receiver.second_device(controller.node.id)
+                cob_id = self._sdo[name][1]
+                reason = f"more SDO responses ({cob_id:#05x}) than requests; {second}"
+                return Fault(Cause.SECOND, reason, name)
             problem = self.rates.excessive.get(name) or self.watchdog.boot_up_problem(controller)
             if problem:
-                return f"{name}: {problem}"
-        return ""
+                return Fault(Cause.SECOND, problem, name)
+        return None
 
     def forget_suspicious_devices(self) -> bool:
         """Forgets the devices that only warn and keep the robot disarmed; returns whether there
@@ -282,28 +285,27 @@ class BusConnection:
         """``True`` if no frame of the driver reaches the bus."""
         return bool(self.receiver.lost) or self.interface.state is ErrorState.BUS_OFF
 
-    def problem(self, now: float) -> str:
-        """Returns the first reason to stop the robot, or an empty text if there is no reason."""
+    def problem(self, now: float) -> Fault | None:
+        """Returns the first fault that must stop the robot, or ``None``."""
+        bus = f"the bus `{self.bus.name}`"
         if self.receiver.lost:
-            return f"the CAN interface of the bus `{self.bus.name}` is lost: {self.receiver.lost}"
+            return Fault(Cause.BUS, f"the CAN interface of {bus} is lost: {self.receiver.lost}")
         if self.interface.state is ErrorState.BUS_OFF:
-            return f"the CAN controller of the bus `{self.bus.name}` is off the bus (bus-off)"
+            return Fault(Cause.BUS, f"the CAN controller of {bus} is off the bus (bus-off)")
         delay = now - self.interface.received_until
         cannot_send = self.failures_in_a_row >= SEND_FAILURES
         if delay > LONGEST_DELAY or (cannot_send and delay > SEND_FAILURES * self.bus.sync_period):
-            return (
-                f"the simulation of the bus `{self.bus.name}` runs {delay * 1000:.0f} ms late; "
-                "is the computer too busy?"
-            )
+            late = f"the simulation of {bus} runs {delay * 1000:.0f} ms late"
+            return Fault(Cause.GAP, f"{late}; is the computer too busy?")
         if self.supervision.problem:
             return self.supervision.problem
+        if cannot_send and self.not_sent == self.not_sent_before:
+            late = f"{SEND_FAILURES} control cycles in a row lasted too long"
+            return Fault(Cause.GAP, f"{late}; is the computer or {bus} too busy?")
         if cannot_send:
-            return f"frames cannot be sent on the bus `{self.bus.name}`; is any node connected?"
-        for controller in self.controllers:
-            problem = self.watchdog.problem(controller, now)
-            if problem:
-                return f"{controller.node.name}: {problem}"
-        return ""
+            return Fault(Cause.BUS, f"frames cannot be sent on {bus}; is any node connected?")
+        problems = (self.watchdog.problem(controller, now) for controller in self.controllers)
+        return next(filter(None, problems), None)
 
     def reported(self, name: str, now: float) -> dict[str, float]:
         """Returns the newest reported values of a motor controller or an IO board.

@@ -220,11 +220,11 @@ def arming_reasons(
     for connection in state_machine.connections:
         problem = connection.impostor() or connection.problem(now)
         if problem:
-            yield problem
+            yield problem.text
         yield from connection.suspicious_devices()
         for controller in connection.controllers:
             reason = _controller_reason(controller, state)
-            if reason and not problem.startswith(f"{controller.node.name}:"):
+            if reason and not (problem and problem.node == controller.node.name):
                 yield f"{controller.node.name}: {reason}"
     yield from batteries.arming_reasons(now)
 
@@ -264,13 +264,13 @@ def component_statuses(
 
 
 def _connection_statuses(connection: BusConnection, now: float) -> Iterator[ComponentStatus]:
-    problem = connection.problem(now)
+    fault = connection.problem(now)
     values: dict[str, Any] = {
         **connection.counters,
         "relayed": connection.relay.passed.total(),
     }
-    level = "error" if problem or connection.receiver.lost else "ok"
-    yield ComponentStatus(f"bus {connection.bus.name}", level, problem or "ok", values)
+    level, text = ("error", fault.text) if fault else ("ok", "ok")
+    yield ComponentStatus(f"bus {connection.bus.name}", level, text, values)
     for controller in connection.controllers:
         problem = controller.problem or controller.power_loss
         values = {

@@ -46,6 +46,7 @@ from thorvaldc.model.settings import AT_START
 from thorvaldc.model.stopping import REPORT_TIMEOUT
 from thorvaldc.runtime import base_interface
 from thorvaldc.runtime.can_base import base_state_machine, battery_and_io_drivers
+from thorvaldc.runtime.can_base.base_fault import Cause
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.bus_services import (
     BusServices,
@@ -292,7 +293,7 @@ class CanBase(base_interface.BaseHandle):
         return self.state_machine.reset(now, commanded)
 
     def fail(self, reason: str) -> None:
-        self.state_machine.fail(reason)
+        self.state_machine.fail(reason, Cause.GAP)
 
     def note_cycle(self, now: float, *, stale: bool) -> None:
         self._battery_level = self.battery_supervision.update(now)
@@ -427,6 +428,8 @@ class CanBase(base_interface.BaseHandle):
         connection.send_relayed()
         complete = complete and not connection.overdue
         connection.failures_in_a_row = 0 if complete else connection.failures_in_a_row + 1
+        if complete:
+            connection.not_sent_before = connection.not_sent
         return complete
 
 

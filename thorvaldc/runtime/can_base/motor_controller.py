@@ -225,6 +225,11 @@ class MotorController(abc.ABC):
         """
         return ""
 
+    @property
+    def watchdog_acted(self) -> bool:
+        """``True`` if the drive reports that its own watchdog has stopped the motors."""
+        return self.error_code & 0xFF00 == 0x8100  # communication, see CiA 301
+
     def identity_mismatch(self) -> str | None:
         """Returns a message if the identity of the device does not match the robot file.
 

@@ -45,6 +45,7 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Bus, FrameDefinition, ObjectValue
 from thorvaldc.model.bus_identity import SERIAL_NUMBER
 from thorvaldc.model.stopping import HEARTBEAT_TIMEOUT, LATE_CYCLES, REPORT_TIMEOUT
+from thorvaldc.runtime.can_base.base_fault import Cause, Fault
 from thorvaldc.runtime.can_base.frame_receiver import LatestFrame, second_device
 from thorvaldc.runtime.can_base.motor_controller import MotorController
 
@@ -178,11 +179,15 @@ class NodeWatchdog:
 
     # -- output ------------------------------------------------------------------------------------
 
-    def problem(self, controller: MotorController, now: float) -> str:
-        """Returns a problem of a motor controller that must stop the robot, or an empty text."""
-        if controller.node.name in self._restarted:
-            return "it restarted"
-        return controller.problem or controller.encoder_jump(now) or self._silence(controller)
+    def problem(self, controller: MotorController, now: float) -> Fault | None:
+        """Returns a problem of a motor controller that must stop the robot, or ``None``."""
+        name = controller.node.name
+        if name in self._restarted:
+            return Fault(Cause.RESTART, "it restarted", name)
+        if reason := controller.problem or controller.encoder_jump(now):
+            return Fault(Cause.DRIVE, reason, name)
+        silence = self._silence(controller)
+        return Fault(Cause.SILENCE, silence, name) if silence else None
 
     @property
     def has_boot_ups(self) -> bool:
@@ -388,8 +393,8 @@ class ObjectSupervision:
     """
 
     def __init__(self, nodes: Sequence[SupervisedNode]) -> None:
-        self.problem = ""
-        """First mismatch with the name of the node, or an empty text."""
+        self.problem: Fault | None = None
+        """First mismatch."""
         self._nodes = [node for node in nodes if node.objects]
         self._index = -1
         self._readback: ObjectReadback | None = None
@@ -416,7 +421,7 @@ class ObjectSupervision:
 
     def _take_problem(self) -> None:
         if self._readback is not None and self._readback.problem:
-            self.problem = f"{self._nodes[self._index].name}: {self._readback.problem}"
+            self.problem = Fault(Cause.OTHER, self._readback.problem, self._nodes[self._index].name)
 
 
 def _label(entry: ObjectValue) -> str:

@@ -44,6 +44,7 @@ from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.model import Robot, stopping
 from thorvaldc.model.statics.slope import holds_without_torque
 from thorvaldc.runtime.can_base import motor_controller
+from thorvaldc.runtime.can_base.base_fault import Cause, Fault
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 
 
@@ -165,12 +166,12 @@ class StopLadder:
             climber.supervision.update(follows, now, homing)
             controller.warning = ""
 
-    def problem(self) -> str:
-        """Returns a message about a motor that does not follow its target, or an empty text."""
+    def problem(self) -> Fault | None:
+        """Returns the fault of a motor that does not follow its target, or ``None``."""
         for climber in self._climbers:
             if problems := climber.supervision.problems:
-                return f"{climber.controller.node.name}: {', '.join(problems)}"
-        return ""
+                return Fault(Cause.MOTION, ", ".join(problems), climber.controller.node.name)
+        return None
 
     # -- while the robot stops ---------------------------------------------------------------------
 

@@ -25,6 +25,7 @@ _HINTS = {
     "joint": "number of the wheel that rolled, with s of one that steered; n: none",
     "turns": "turns, such as 1 or -0.5; positive: forwards",
     "degrees": "degrees off straight ahead, such as 0 or -12; positive: to the left",
+    "pressed": "y or n",
     "yes": "y or n",
 }
 
@@ -87,7 +88,7 @@ class ConsoleOperator:
     def _parsed(self, kind: str, line: str) -> tuple[Answer] | None:
         if kind in ("motor", "start", "press"):
             return {"": (True,), "s": (False,)}.get(line)
-        if kind == "yes":
+        if kind in ("pressed", "yes"):
             return {"y": (True,), "yes": (True,), "n": (False,), "no": (False,)}.get(line)
         if kind == "joint":
             return (None,) if line in ("n", "none") else self._joint(line)

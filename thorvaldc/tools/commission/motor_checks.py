@@ -19,10 +19,12 @@ from collections.abc import Callable, Collection
 from thorvaldc.commissioning.commission_report import YES
 from thorvaldc.model import Actuator, Robot, stopping
 from thorvaldc.model.settings import SAFETY_STOP
-from thorvaldc.runtime.can_base.base_state_machine import HOME_NOT_FOUND, BaseState, Times
+from thorvaldc.runtime.can_base.base_fault import Cause
+from thorvaldc.runtime.can_base.base_state_machine import BaseState, Times
 from thorvaldc.runtime.can_base.motor_controller import FRESH, Axis, MotorController
+from thorvaldc.runtime.pace import gap_text
 from thorvaldc.tools.commission.assembly_findings import has_moved_as_expected
-from thorvaldc.tools.commission.motion_watch import CYCLES, MotionWatch, Travel, test_speed
+from thorvaldc.tools.commission.motion_watch import ABORTS, CYCLES, MotionWatch, Travel, test_speed
 from thorvaldc.tools.commission.motor_session import (
     Interrupted,
     MotorSession,
@@ -30,7 +32,13 @@ from thorvaldc.tools.commission.motor_session import (
     Steps,
 )
 from thorvaldc.tools.commission.questions import Answer, Operator, Question, joint_text
-from thorvaldc.tools.commission.results import STANDS, WATCHDOG, MotorResult, Observation
+from thorvaldc.tools.commission.results import (
+    EMERGENCY_STOP,
+    STANDS,
+    WATCHDOG,
+    MotorResult,
+    Observation,
+)
 
 WHEEL_TRAVEL = math.tau
 """Travel (rad) of a wheel: one turn, which a mark on the tyre shows."""
@@ -56,6 +64,8 @@ REACTION = 0.6
 """Time (s) in which a motor with an unstable speed loop loses its torque."""
 PRESS_TIME = 20.0
 """Longest time (s) in which the operator presses the emergency stop."""
+WATCHDOG_CAUSES = (Cause.DRIVE, Cause.SILENCE, Cause.MOTION)
+"""Causes of the faults that follow when the watchdogs of drives act."""
 REPORTED_TOLERANCE = 0.1
 """Largest deviation of the reported travel, as a share of the commanded one."""
 
@@ -263,15 +273,16 @@ class MotorChecks:
         fault = self.session.fault
         if watch.cause:
             self.session.take_torque()
-        elif fault and not self._has_caused(watch.axis, fault):
+        elif fault and not self._has_caused(watch.axis):
             raise Interrupted(fault)
         return Travel(commanded, watch.reported, watch.cause, fault, watch.others)
 
-    def _has_caused(self, axis: Axis, fault: str) -> bool:
-        controller = self._controller(axis)
-        own = fault.startswith(f"{controller.node.name}:")
-        motion = controller.problem or self.session.base.state_machine.ladder.problem()
-        return fault.startswith(HOME_NOT_FOUND) or (own and bool(motion))
+    def _has_caused(self, axis: Axis) -> bool:
+        fault = self.session.cause
+        own = fault is not None and fault.node == self._controller(axis).node.name
+        return fault is not None and (
+            fault.cause is Cause.HOMING or (own and fault.cause in (Cause.DRIVE, Cause.MOTION))
+        )
 
     @property
     def _fresh(self) -> float:
@@ -383,8 +394,13 @@ class MotorChecks:
         else:
             driven.lock(SAFETY_STOP, True)
             bound += self._ramp()
+        since = session.now
         rest = yield from self._time_to_rest(axis, bound + WATCHDOG_PATIENCE)
-        result.add(f"rest after the {kind}", rest, "s", 0.0, bound)
+        expected = (Cause.STOP,) if kind == "safety stop" else ()
+        if disturbance := self._disturbance(axis, since, expected):
+            result.leave_unmeasured(kind, disturbance)
+        else:
+            result.add(f"rest after the {kind}", rest, "s", 0.0, bound)
         session.commands_motion = False
         if kind == "safety stop":
             driven.safety_stop(False)
@@ -404,21 +420,62 @@ class MotorChecks:
             return
         bound = promise + self._delay(axis)
         session.base.starves_drives = True
-        since, acts = session.now, math.inf
+        since, acts, disturbance = session.now, math.inf, ""
         while session.now - since < bound + WATCHDOG_PATIENCE:
-            # A CANopen drive whose watchdog acts sends no reports any more, but an emergency.
-            slow = abs(axis.velocity) < SLOWER * test_speed(axis)
-            silent = session.now - axis.time > self._fresh
-            if (slow or silent or session.fault) and math.isinf(acts):
-                acts = session.now - since
+            if math.isinf(acts) and not disturbance:
+                # A CANopen drive whose watchdog acts sends no reports any more, but an emergency.
+                slow = abs(axis.velocity) < SLOWER * test_speed(axis)
+                silent = session.now - axis.time > self._fresh
+                disturbance = self._disturbance(axis, since, WATCHDOG_CAUSES)
+                if slow or silent or controller.watchdog_acted:
+                    acts = session.now - since
             yield
         self.operator.look()
         session.base.starves_drives = False
-        result.add(WATCHDOG, acts, "s", 0.0, bound)
+        # A drive that restarts later, or reports another error, has not waited for its watchdog.
+        disturbance = disturbance or self._disturbance(axis, since, tuple(Cause))
         yield from session.release()
+        if disturbance:
+            result.leave_unmeasured("watchdog", disturbance)
+            return
+        result.add(WATCHDOG, acts, "s", self._least_watchdog_time(controller), bound)
         stood = yield from self._ask("yes", "Did the wheel come to rest by itself?", axis)
         if not node.watchdog_coasts:
             result.add(STANDS, float(bool(stood)), YES, 1.0, 1.0)
+
+    def _least_watchdog_time(self, controller: MotorController) -> float:
+        """Returns the shortest time (s) from the begin of the silence until the watchdog can act.
+
+        The drive has heard the latest heartbeat and the latest command before the silence.
+        """
+        node, period = controller.node, self.session.driven.period
+        heartbeats = [f.period for f in controller.bus.frames if f.kind == "heartbeat"]
+        beat = max((time for time in heartbeats if time is not None), default=0.0)
+        times = [
+            time - age
+            for time, age in (
+                (node.heartbeat_consumer_time, beat + period),
+                (node.command_watchdog, 2.0 * period),
+            )
+            if time is not None
+        ]
+        return max(min(times, default=0.0), 0.0)
+
+    def _disturbance(self, axis: Axis, since: float, causes: Collection[Cause]) -> str:
+        """Returns what else may have stopped the motor since a time (s) than a fault with one of
+        the causes, or an empty text."""
+        session, controller = self.session, self._controller(axis)
+        connection = next(c for c in session.base.connections if controller in c.controllers)
+        fault, gap = session.cause, session.driven.timing.latest_gap
+        if fault is not None and fault.cause not in causes:
+            return fault.text
+        if connection.foreign_master:
+            return connection.foreign_master
+        if controller.problem and not controller.watchdog_acted:
+            return f"{controller.node.name}: {controller.problem}"
+        if connection.watchdog.has_booted(controller, since):
+            return f"{controller.node.name}: it restarted"
+        return "" if gap is None or gap[0] <= since else gap_text(gap[1])
 
     def _check_emergency_stop(self, axis: Axis, result: MotorResult) -> Steps[None]:
         """Lets the operator press the emergency stop while the wheel turns."""
@@ -428,21 +485,37 @@ class MotorChecks:
             return
         watch = yield from self._run_steadily(axis, expects_fault=True)
         since = session.now
-        while not (session.fault or watch.cause) and session.now - since < PRESS_TIME:
+        while self._goes_on(watch) and session.now - since < PRESS_TIME:
             yield
+        fault = session.cause
         yield from self._time_to_rest(axis, REACTION)
         session.take_torque()
         self.operator.look()
-        stood = bool(session.fault) and (session.now - axis.time > self._fresh or self._rests(axis))
-        yield from self._ask_without_power("Release the emergency stop.", axis)
+        is_fresh = session.now - axis.time <= self._fresh
+        controller = self._controller(axis)
+        disturbance = ABORTS[watch.cause] if watch.cause else ""
+        if fault is not None and fault.cause is not Cause.POWER:
+            disturbance = fault.text
+        elif fault is not None and fault.node != controller.node.name and not controller.power_loss:
+            disturbance = f"{fault.text}; {controller.node.name} kept its power"
+        text = "Did you press the emergency stop?"
+        if not disturbance and not (yield from self._ask_in_fault("pressed", text, axis)):
+            disturbance = "nobody has pressed it"
+        if disturbance:
+            result.leave_unmeasured("emergency stop", disturbance)
+        else:
+            stands = fault is not None and is_fresh and self._rests(axis)
+            stood = yield from self._ask_in_fault("yes", "Did the wheel stand at once?", axis)
+            result.add(EMERGENCY_STOP, float(stands and bool(stood)), YES, 1.0, 1.0)
+        yield from self._ask_in_fault("start", "Release the emergency stop.", axis)
         yield from session.release()
-        result.add("stands after the emergency stop", float(stood), YES, 1.0, 1.0)
 
-    def _ask_without_power(self, text: str, axis: Axis) -> Steps[None]:
-        """Asks the operator for something while the robot is in a fault."""
-        self.operator.ask(Question("start", text, axis))
-        while self.operator.answer() is None:
+    def _ask_in_fault(self, kind: str, text: str, axis: Axis) -> Steps[Answer]:
+        """Asks the operator while the robot is in a fault, which is not reset meanwhile."""
+        self.operator.ask(Question(kind, text, axis))
+        while (answer := self.operator.answer()) is None:
             yield
+        return answer[0]
 
     def _time_to_rest(self, axis: Axis, limit: float) -> Steps[float]:
         """Waits until a motor stands, and returns the time (s), infinite after ``limit``."""

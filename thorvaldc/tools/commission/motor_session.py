@@ -22,6 +22,7 @@ from thorvaldc.can.frame import CanInterface
 from thorvaldc.model import Robot, TwistInput
 from thorvaldc.model.settings import REQUIRED
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointCommands, RequestRefused
+from thorvaldc.runtime.can_base.base_fault import Fault
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.can_base.motor_controller import STANDING, Axis
@@ -177,6 +178,11 @@ class MotorSession:
         state_machine = self.base.state_machine
         return state_machine.reason if state_machine.state in _STOPPED else ""
 
+    @property
+    def cause(self) -> Fault | None:
+        """Cause of a fault or stop of the base."""
+        return self.base.state_machine.fault
+
     # -- steps -------------------------------------------------------------------------------------
 
     def wait_until_ready(self) -> Steps[None]:
@@ -186,7 +192,7 @@ class MotorSession:
             if self.fault:
                 raise Interrupted(self.fault)
             if self.now - since > START_TIME:
-                raise Interrupted(f"the base is {self.base.state.value} for {START_TIME:.0f} s")
+                raise Interrupted(self._obstacle())
             yield
 
     def begin_power(self, axis: Axis) -> Steps[None]:
@@ -232,8 +238,21 @@ class MotorSession:
             elif self.base.state is BaseState.READY and self._stands and self._is_off:
                 break
             if self.now - since > START_TIME:
-                raise Interrupted(refusal or self.fault or f"the base is {self.base.state.value}")
+                raise Interrupted(self._obstacle(refusal or self.fault))
         self.base.end_motion()
+
+    def _obstacle(self, reason: str = "") -> str:
+        """Returns why the checks cannot go on: motors that turn, or the state of the base."""
+        turning = [
+            f"wheel {self.driven.robot.wheels[axis.wheel].name} ({controller.node.name}"
+            f" {axis.channel}) reports {axis.velocity:.2f} rad/s, although it is commanded to stand"
+            for controller in self.base.state_machine.controllers
+            for axis in controller.axes
+            if abs(axis.velocity) > STANDING
+        ]
+        if turning:
+            return f"cut the power: {'; '.join(turning)}"
+        return reason or f"the base is {self.base.state.value} for {START_TIME:.0f} s"
 
     @property
     def _stands(self) -> bool:

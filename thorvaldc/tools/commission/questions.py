@@ -11,7 +11,8 @@ from thorvaldc.runtime.can_base.motor_controller import Axis
 class Question(NamedTuple):
     """A question about the motion of a motor.
 
-    - ``kind``: ``motor``, ``start``, ``press``, ``joint``, ``turns``, ``degrees`` or ``yes``;
+    - ``kind``: ``motor``, ``start``, ``press``, ``pressed``, ``joint``, ``turns``, ``degrees`` or
+      ``yes``;
     - ``text``: the question; the operator's program adds how to answer;
     - ``axis``: the motor that is driven.
 
@@ -22,6 +23,7 @@ class Question(NamedTuple):
     - ``turns``: turns of the wheel of the latest ``joint``, positive if it would drive forwards;
     - ``degrees``: direction of the wheel of the latest ``joint``, positive to the left of straight
       ahead;
+    - ``pressed``: ``True`` if the operator has pressed the emergency stop;
     - ``yes``: ``True`` or ``False``.
     """
 

@@ -88,6 +88,7 @@ def summary(report: CommissionReport, width: int | None) -> str:
     rows = [("motor", "controller", "state")]
     rows += [(m.name, f"{m.node} {m.channel}", m.state) for m in report.motors]
     parts = [text_table(rows, width)]
+    parts += [f"{m.name}: {text}" for m in report.motors for text in m.not_tested]
     parts += [f"{f.text}\n    {f.change}" for f in report.findings]
     if report.interruption:
         parts.append(f"interrupted: {report.interruption}")

@@ -13,6 +13,8 @@ from thorvaldc.tools.commission.motion_watch import Travel
 WATCHDOG = "drive's watchdog acts"
 STANDS = "stands by the drive's watchdog"
 """Names of the figures of the watchdog of a drive."""
+EMERGENCY_STOP = "stands after the emergency stop"
+"""Name of the figure of the emergency stop."""
 
 
 @dataclass
@@ -37,14 +39,19 @@ class Observation:
 class MotorResult:
     """Result of the checks of one motor.
 
-    - ``skipped``: the operator has left the motor or one of its checks out;
-    - ``not_tested``: checks that were left out.
+    - ``skipped``: the motor or one of its checks was left out, or could not be measured;
+    - ``not_tested``: checks that were left out or not measured, with the reason.
     """
 
     observation: Observation
     figures: list[Figure] = field(default_factory=list)
     not_tested: list[str] = field(default_factory=list)
     skipped: bool = False
+
+    def leave_unmeasured(self, name: str, reason: str) -> None:
+        """Notes that something else may have stopped the motor, so that a check shows nothing."""
+        self.skipped = True
+        self.not_tested.append(f"{name}: not measured: {reason}")
 
     def add(self, name: str, value: float, unit: str, least: float, most: float) -> None:
         """Adds a figure; a value that is not finite was not reached."""

@@ -48,7 +48,7 @@ class SimulatedOperator:
             moved = question.axis.actuator
         if question.kind == "joint":
             self._answer = (moved if is_seen else None,)
-        elif question.kind == "press":  # a simulated robot has no button
+        elif question.kind in ("press", "pressed"):  # a simulated robot has no button
             self._answer = (False,)
         elif question.kind == "turns":
             turns = travels[moved.name] / math.tau
