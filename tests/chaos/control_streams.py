@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from thorvaldc.runtime.control_channel import ControlServer
+from thorvaldc.runtime.control_channel import LONGEST_POLL, ControlServer
 from thorvaldc.runtime.service_table import Services
 
 BUFFER = 200_000
@@ -97,7 +98,9 @@ class MemoryControlServer(ControlServer):
         self._listener = listener  # type: ignore[assignment]
         self._longest_wait = longest_wait
         self._closed = closed
-        self._connections = 0
+        self._connections = self._requests = 0
+        # A clock that depends on no machine: 64 requests take the time of a poll.
+        self.real_time = itertools.count(0.0, LONGEST_POLL / 64).__next__
         self._last_poll = -math.inf
         self._now = 0.0
 
