@@ -37,6 +37,7 @@ def stated_counts() -> dict[str, tuple[int, int]]:
     return {name: (int(a.replace(",", "")), int(b.replace(",", ""))) for name, a, b in rows}
 
 
+@pytest.mark.timeout(3600)  # up to 50 s of processor time
 @pytest.mark.parametrize(
     "configuration",
     [SMALL, *(pytest.param(c, marks=pytest.mark.slow) for c in CONFIGURATIONS)],
