@@ -66,7 +66,7 @@ def run_client(distro: str, program: str, folder: Path, *arguments: object) -> s
         capture_output=True,
         text=True,
         check=False,
-        timeout=200,
+        timeout=550,
     )
     assert result.returncode == 0, result.stderr
     return result.stdout
