@@ -68,7 +68,7 @@ WRONG_VALUES = {
 # error of usage, and of names of new files.
 OTHER_VALUES = {
     *("FILE", "DIR", "OUT", "OUT.html", "OUT.xml", "RECORD", "SET", "TEXT", "HASH", "NAME"),
-    *("BUS", "SOURCE", "DEVICE", "ENTRIES", "OBJECTIVE", "QUERY"),
+    *("BUS", "[NAME=]BUS", "SOURCE", "DEVICE", "ENTRIES", "OBJECTIVE", "QUERY"),
 }
 MISSING_FOLDER_IS_NEW = {("build", "--output"), ("demo", "--output"), ("modules new", "--library")}
 

@@ -131,7 +131,7 @@ def test_supervision_reads_all_nodes_in_turn() -> None:
         entry = FIRST if index == FIRST.index else SECOND
         name = "a" if request.id == 0x605 else "b"
         supervision.take_response("b" if name == "a" else "a", response(entry, 77))
-        assert supervision.problem == "", "the response of another node"
+        assert supervision.problem is None, "the response of another node"
         value = (100 if entry is FIRST else -5) if k < 5 else 77
         supervision.take_response(name, response(entry, value))
     assert sequence == [(0x605, 0x1017), (0x605, 0x607D), (0x607, 0x1017)] * 2
