@@ -135,6 +135,7 @@ def test_supervision_reads_all_nodes_in_turn() -> None:
         value = (100 if entry is FIRST else -5) if k < 5 else 77
         supervision.take_response(name, response(entry, value))
     assert sequence == [(0x605, 0x1017), (0x605, 0x607D), (0x607, 0x1017)] * 2
-    assert supervision.problem.startswith("b: object 1017 (0x1017:0) is 77")
+    assert supervision.problem is not None
+    assert supervision.problem.text.startswith("b: object 1017 (0x1017:0) is 77")
     assert supervision.next_request(99.0) is None
     assert ObjectSupervision(nodes[1:2]).next_request(0.0) is None
