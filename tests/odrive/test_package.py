@@ -64,7 +64,7 @@ def test_the_first_motion_is_checked(tmp_path: Path, odrive_package: list[str]) 
     """The driver of a single motor needs nothing for it."""
     command = ("can", "commission", ROBOT, "--bus", "virtual", "--report", "first.json")
     status, out, err = thorvaldc(tmp_path, odrive_package, *command, "--json")
-    assert status == 0, err
+    assert status == 0, out + err
     motors = json.loads(out)["motors"]
     assert [motor["state"] for motor in motors] == ["passed", "passed"]
     names = {figure["name"] for motor in motors for figure in motor["figures"]}
@@ -93,7 +93,7 @@ def test_two_processes(tmp_path: Path, odrive_package: list[str]) -> None:
 
     drive = ("run", *on_bus, "--twist", "0.3,0,0", "--duration", "1s", "--json")
     status, out, err = thorvaldc(tmp_path, odrive_package, *drive)
-    assert status == 0, err
+    assert status == 0, out + err
     assert json.loads(out)["pose"]["x"] > 0.1
 
     status, out, _ = thorvaldc(tmp_path, odrive_package, "can", "scan", *on_bus)

@@ -147,6 +147,10 @@ class OdriveController(MotorController):
         return self._active_errors | self._disarm_reason
 
     @property
+    def watchdog_acted(self) -> bool:
+        return self._errors == Error.WATCHDOG_TIMER_EXPIRED
+
+    @property
     def problem(self) -> str:
         problems = [error_names(self._errors)] if self._errors else []
         if self._unanswered > TRIES:

@@ -339,7 +339,7 @@ def test_folders_and_missing_files(thorvaldc: Command, tmp_path: Path) -> None:
 
 
 def test_a_link_stays_a_link(thorvaldc: Command, beam: Path, tmp_path: Path) -> None:
-    link = tmp_path / "other" / "frame" / "beam" / "module.yaml"
+    link = beam.parents[1] / "linked" / "module.yaml"
     link.parent.mkdir(parents=True)
     link.symlink_to(beam)
     assert thorvaldc("upgrade", str(link)).status == 0
