@@ -476,7 +476,8 @@ class Rules:
         have no source are void.
         """
         if every:
-            sources = tuple(state._replace(awaits=reason) for state in value.sources)
+            # A zero that was commanded before does not count: it is as void as a motion.
+            sources = tuple(s._replace(twist=_MOTION, awaits=reason) for s in value.sources)
             value = value._replace(sources=sources)
         fault_reason = reason if fault else value.fault
         return value._replace(fault=fault_reason, void=reason, void_at=time), DONE
