@@ -270,3 +270,14 @@ def test_a_gap_requires_zero_of_every_source() -> None:
     assert mux.publish("nav", SLOW, 0.0) == ""
     permission.step(Rules.void, "no control cycle for 120 ms", 0.1)
     assert mux.publish("nav", SLOW, 0.1) == "no control cycle for 120 ms; command zero first"
+
+
+def test_a_zero_before_a_gap_does_not_count() -> None:
+    permission = MotionPermission(Rules([TwistInput("joy", "joy", 10, 0.5, "zero")]))
+    mux = Multiplexer(permission)
+    assert mux.publish("joy", ZERO_TWIST, 0.0) == ""
+    permission.step(Rules.void, "no control cycle for 100 ms", 0.1)
+    permission.step(Rules.begin_cycle, 0.1)
+    assert mux.publish("joy", SLOW, 0.12) == "no control cycle for 100 ms; command zero first"
+    assert mux.publish("joy", ZERO_TWIST, 0.14) == ""
+    assert mux.publish("joy", SLOW, 0.16) == ""
