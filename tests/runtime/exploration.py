@@ -3,11 +3,13 @@
 The states are those of ``thorvaldc.runtime.permission``: the explorer calls its ``step``, and keeps
 one value of each class (``Rules.class_of``).  Time is abstract: an age is within or beyond the
 threshold that the rules compare, and may cross it at any moment.  Beside each value stands a judge,
-which notes in its own words what has happened, and knows neither the value nor the rules::
+which notes what has happened and does not use the rules.  From the value it takes the last twist of
+each source, and whether the source is heard::
 
     armed       by an arming since the last stop
     by_itself   the robot may arm itself: no person has ended it
     zeros       sources that have commanded zero since they last did not drive, or began a ramp
+    voided      sources that have published nothing since a gap in time
     holders     who holds which stop
 
 What must hold is in ``_Explorer.judge_motion`` and beside each event.  A counterexample is the
@@ -108,6 +110,7 @@ class Judge(NamedTuple):
     by_itself: bool = False
     pending: str = ""
     zeros: frozenset[int] = frozenset()
+    voided: frozenset[int] = frozenset()
     holders: frozenset[tuple[int, str]] = frozenset()
     base_stopped: bool = False
 
@@ -235,6 +238,8 @@ class _Explorer:
             if owned:
                 check(changed is value, "a refused twist of another program changes something")
             else:
+                if i in judge.voided:
+                    judge = judge._replace(voided=judge.voided - {i})
                 begins = twist == STEP and ramps and value.sources[i].time == -math.inf
                 if (zero or (begins and value.armed_at < NOW)) and i not in judge.zeros:
                     judge = judge._replace(zeros=judge.zeros | {i})
@@ -298,7 +303,12 @@ class _Explorer:
             holders = frozenset((k, ENDED if n == owner else n) for k, n in judge.holders)
             yield (
                 changed,
-                judge._replace(pending=pending, zeros=judge.zeros - gone, holders=holders),
+                judge._replace(
+                    pending=pending,
+                    zeros=judge.zeros - gone,
+                    voided=judge.voided - gone,
+                    holders=holders,
+                ),
             )
 
         return act
@@ -325,6 +335,7 @@ class _Explorer:
         stops = [name for k, name in judge.holders if self._is_stop(k)]
         check(not stops, f"the robot is armed while {stops} stop it")
         heard = {i for i, s in enumerate(value.sources) if s.time > -math.inf}
+        heard -= judge.voided
         moving = [i for i in heard if value.sources[i].twist != ZERO_TWIST]
         check(not moving, "the robot is armed while a motion is commanded")
         return judge._replace(armed=True, pending="", zeros=judge.zeros | heard)
@@ -351,7 +362,8 @@ class _Explorer:
     def _void(self, fault: bool) -> Action:
         def act(value: Permission, judge: Judge) -> Iterator[State]:
             changed, _ = self.rules.void(value, "gap", NOW, fault)
-            yield changed, judge._replace(zeros=frozenset())
+            voided = frozenset(i for i, s in enumerate(value.sources) if s.time > -math.inf)
+            yield changed, judge._replace(zeros=frozenset(), voided=voided)
 
         return act
 
@@ -360,8 +372,8 @@ class _Explorer:
             if value.sources[i].time > -math.inf:
                 sources = list(value.sources)
                 sources[i] = SourceState()
-                zeros = judge.zeros - {i}
-                yield value._replace(sources=tuple(sources)), judge._replace(zeros=zeros)
+                left = judge._replace(zeros=judge.zeros - {i}, voided=judge.voided - {i})
+                yield value._replace(sources=tuple(sources)), left
 
         return act
 
@@ -425,7 +437,8 @@ class _Explorer:
                 zero = selected in judge.zeros or rules.sources[selected].first_command == "any"
                 check(zero, f"{name} moves the robot, and has not commanded zero")
         zeros = judge.zeros & {effective}
-        if effective >= 0 and value.sources[effective].twist == ZERO_TWIST:
+        stands = effective >= 0 and value.sources[effective].twist == ZERO_TWIST
+        if stands and effective not in judge.voided:
             zeros |= {effective}
         return judge if zeros == judge.zeros else judge._replace(zeros=zeros)
 

@@ -130,6 +130,12 @@ def _twists_outlive_their_program(self: Rules, value: Permission, owner: str) ->
     return changed._replace(sources=value.sources), answer
 
 
+def _zeros_outlive_a_gap(self: Rules, value: Permission, *arguments: Any, **named: Any) -> Step:
+    changed, answer = void(self, value, *arguments, **named)
+    states = zip(changed.sources, value.sources, strict=True)
+    return changed._replace(sources=tuple(s._replace(twist=o.twist) for s, o in states)), answer
+
+
 def _home_under_a_stop(self: Rules, value: Permission, time: float) -> Step:
     return value._replace(armed=False, disarmed_by=""), Answer(home=True, again=True)
 
@@ -140,7 +146,7 @@ def _begin_operated_cycle(self: Rules, value: Permission, now: float, base: Base
 
 begin_cycle = Rules.begin_cycle
 publish, arm, disarm = Rules.publish, Rules.arm, Rules.disarm
-set_lock, end_program = Rules.set_lock, Rules.end_program
+set_lock, end_program, void = Rules.set_lock, Rules.end_program, Rules.void
 RULES: dict[str, tuple[str, Any]] = {
     "a new source commands zero": ("begins", lambda self, source, twist: True),
     "an ineffective source commands zero": (
@@ -161,6 +167,7 @@ RULES: dict[str, tuple[str, Any]] = {
     "a stop outlives its program": ("end_program", _ended_programs_release),
     "the twists of a program end with it": ("end_program", _twists_outlive_their_program),
     "a gap voids the commands": ("void", _keep("void")),
+    "a zero before a gap is void": ("void", _zeros_outlive_a_gap),
     "a stopped robot does not home": ("home", _home_under_a_stop),
     "locks are active": ("active_locks", lambda self, value, now: ((), -1.0)),
     "a forgotten robot is disarmed": ("begin_cycle", _begin_operated_cycle),

@@ -133,11 +133,8 @@ class Multiplexer:
     def awaited_zeros(self, now: float) -> dict[str, str]:
         """Returns the sources that command a motion and must command zero, with the reasons."""
         states = self._permission.value.sources
-        return {
-            name: states[i].awaits
-            for name, i in self._sources.items()
-            if states[i].awaits and name in self.requests(now)
-        }
+        requests = {name: states[self._sources[name]].awaits for name in self.requests(now)}
+        return {name: awaits for name, awaits in requests.items() if awaits}
 
     def holders(self, now: float) -> dict[str, str]:
         """Returns the program to which each source is bound, without the free sources."""
@@ -184,8 +181,7 @@ class Multiplexer:
         if number < 0:
             return Selection("", ZERO_TWIST, now, names)
         state = self._permission.value.sources[number]
-        twist = ZERO_TWIST if state.awaits else state.twist
-        return Selection(rules.sources[number].name, twist, state.time, names)
+        return Selection(rules.sources[number].name, state.followed, state.time, names)
 
     def feed(
         self, driver: BaseDriver, now: float, base: Base = READY, operated: bool = False
@@ -204,10 +200,9 @@ class Multiplexer:
         driver.source_refusal = ""
         if answer.selected >= 0:
             state = self._permission.value.sources[answer.selected]
-            if state.awaits:
-                driver.source_refusal = f"{state.awaits}; command zero first"
+            driver.source_refusal = state.refusal
             self._has_driven, self._last_time = True, state.time
-            driver.command(ZERO_TWIST if state.awaits else state.twist, state.time)
+            driver.command(state.followed, state.time)
         elif self._has_driven:
             driver.command(ZERO_TWIST, now if answer.locked else self._last_time)
         return answer

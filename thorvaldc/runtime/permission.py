@@ -41,13 +41,25 @@ _MOTION: Final = Twist(1.0, 0.0, 0.0)
 class SourceState(NamedTuple):
     """A twist source: the last twist of its program, also if it was refused, and its time (s).
 
-    ``awaits``: reason why the source must command zero before it moves the robot, or empty.
+    - ``twist``: ``None`` after a gap in time, until the source publishes again: what its program
+      wants by now is unknown, also if it commanded zero before;
+    - ``awaits``: reason why the source must command zero before it moves the robot, or empty.
     """
 
-    twist: Twist = ZERO_TWIST
+    twist: Twist | None = ZERO_TWIST
     time: float = _NEVER
     owner: str = ""
     awaits: str = ""
+
+    @property
+    def refusal(self) -> str:
+        """Reason why the source moves nothing until it commands zero, or an empty text."""
+        return f"{self.awaits}; command zero first" if self.awaits else ""
+
+    @property
+    def followed(self) -> Twist:
+        """Twist that the robot follows if the source is selected."""
+        return ZERO_TWIST if self.awaits or self.twist is None else self.twist
 
 
 class LockState(NamedTuple):
@@ -212,7 +224,7 @@ class Rules:
         return [
             source.name
             for i, source in enumerate(self.sources)
-            if value.sources[i].twist != ZERO_TWIST and self.is_heard(value, i, now)
+            if value.sources[i].twist not in (ZERO_TWIST, None) and self.is_heard(value, i, now)
         ]
 
     def stops(self, value: Permission, now: float) -> list[int]:
@@ -261,7 +273,8 @@ class Rules:
         sources = [SourceState()] * len(value.sources)
         for i, (twist, _, owner, awaits) in enumerate(value.sources):
             if self.is_heard(value, i, now):
-                twist = ZERO_TWIST if twist == ZERO_TWIST else _MOTION
+                if twist is not None:
+                    twist = ZERO_TWIST if twist == ZERO_TWIST else _MOTION
                 sources[i] = SourceState(twist, _LATELY, owner, "x" if awaits else "")
         locks = list(value.locks)
         for k, timeout, _ in self._barriers:
@@ -298,9 +311,9 @@ class Rules:
             begins = self.begins(source, twist)
             awaits = "" if begins else awaits or f"`{name}` was not heard before"
         states = list(value.sources)
-        states[source] = SourceState(twist, time, owner, awaits)
+        states[source] = state = SourceState(twist, time, owner, awaits)
         value = value._replace(sources=tuple(states), heard_at=max(value.heard_at, time))
-        return value, Answer(f"{awaits}; command zero first") if awaits else DONE
+        return value, Answer(state.refusal) if awaits else DONE
 
     def begin_cycle(
         self, value: Permission, now: float, base: Base = READY, operated: bool = False
@@ -389,8 +402,8 @@ class Rules:
         if not homed:
             value = value._replace(arming_owner=owner)
             return value, Answer(text=HOMING, note="homing the steering", home=True)
-        # Every source that is heard commands zero now.
-        sources = tuple(state._replace(awaits="") for state in value.sources)
+        # Every source that is heard commands zero now, unless its twist is void.
+        sources = tuple(s if s.twist is None else s._replace(awaits="") for s in value.sources)
         heard_at = max(value.heard_at, time)
         value = value._replace(armed=True, armed_at=time, heard_at=heard_at, sources=sources)
         return value._replace(void=""), Answer(note="armed")
@@ -476,8 +489,7 @@ class Rules:
         have no source are void.
         """
         if every:
-            # A zero that was commanded before does not count: it is as void as a motion.
-            sources = tuple(s._replace(twist=_MOTION, awaits=reason) for s in value.sources)
+            sources = tuple(s._replace(twist=None, awaits=reason) for s in value.sources)
             value = value._replace(sources=sources)
         fault_reason = reason if fault else value.fault
         return value._replace(fault=fault_reason, void=reason, void_at=time), DONE
