@@ -6,11 +6,15 @@
 from __future__ import annotations
 
 import sys
+import time
+from unittest.mock import patch
 
 from rclpy.parameter import Parameter
 
 from tests.ros.topic_rig import TopicRig
 from thorvaldc.ros.joint_guard import JointGuard
+
+STOP = 3.0  # s: the ramp of the robot from 0.5 m/s, and the wait for joint states before it
 
 
 def main() -> None:
@@ -36,7 +40,16 @@ def main() -> None:
     assert rig.commands.angles == angles
     rig.executor.remove_node(guard)
     guard.destroy_node()
-    rig.close()
+    waits: list[float] = []
+
+    def sleep(seconds: float) -> None:
+        waits.append(seconds)
+        real_sleep(seconds)
+
+    real_sleep = time.sleep
+    with patch("time.sleep", sleep):
+        rig.close()  # the engine is silent: the robot ends all the same
+    assert sum(waits) < STOP, sum(waits)
 
 
 if __name__ == "__main__":

@@ -77,6 +77,7 @@ class TopicBase(BaseHandle):
         self._silence = 0.0
         self._looked = self._ros_time()
         self._messages = 0
+        self._waited_at = -1  # number of messages at the end of the last wait for nothing
         self._fault = ""
         self._refusal = ""
         self._changed = 0.0
@@ -171,14 +172,17 @@ class TopicBase(BaseHandle):
     def sleep_until(self, when: float) -> None:
         """Waits for joint states of the time ``when`` (s); goes on in a fault if none come.
 
-        So a robot also ends while the other program is paused or has ended.
+        So a robot also ends while the other program is paused or has ended.  Only the first wait
+        without a message is that long: the cycles of a stop would last minutes.
         """
-        end = time.monotonic() + LONGEST_SILENCE
+        silent = self._messages == self._waited_at
+        end = time.monotonic() + (when - self._time if silent else LONGEST_SILENCE)
         while self._time < when and time.monotonic() < end:
             self.poll(end - time.monotonic())
         if self._time < when:
             self.fail(f"no joint states on {self._topic}")
             self._time = when
+            self._waited_at = self._messages
 
     @property
     def has_time(self) -> bool:

@@ -237,6 +237,8 @@ class DrivenRobot(ArmableRobot):
         state = self.driver.state
         if state.mode is DriveMode.HELD:
             return self.base.ended
+        if self.base.lacks_joint_states and state.command is not None:
+            return not any(state.command.joints.speeds)
         return state.ramped == ZERO_TWIST and max(map(abs, state.odometry.twist)) < _RESTING
 
     # -- gaps in time ------------------------------------------------------------------------------
