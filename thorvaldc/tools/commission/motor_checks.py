@@ -108,6 +108,7 @@ class MotorChecks:
             yield from self._run()
         except Interrupted as interruption:
             self.interruption = str(interruption)
+            self.operator.alarm(self.interruption)
 
     def _run(self) -> Steps[None]:
         yield from self.session.wait_until_ready()
@@ -385,6 +386,7 @@ class MotorChecks:
         session, driven = self.session, self.session.driven
         watch = yield from self._run_steadily(axis)
         if watch.cause:
+            result.leave_unmeasured(kind, ABORTS[watch.cause])
             yield from session.release()
             return
         times = stopping.reaction_times(self.robot, driven.driver.settings)
@@ -416,6 +418,7 @@ class MotorChecks:
         promise = stopping.watchdog_time(node) or 0.0
         watch = yield from self._run_steadily(axis)
         if watch.cause:
+            result.leave_unmeasured("watchdog", ABORTS[watch.cause])
             yield from session.release()
             return
         bound = promise + self._delay(axis)
@@ -531,7 +534,9 @@ class MotorChecks:
             return
         yield from self.session.release()
         text = "Try to turn the wheel by hand: does its brake hold it?"
+        self.session.by_hand = axis
         holds = yield from self._ask("yes", text, axis)
+        self.session.by_hand = None
         result.add("brake holds", float(bool(holds)), YES, 1.0, 1.0)
 
     def _controller(self, axis: Axis) -> MotorController:
