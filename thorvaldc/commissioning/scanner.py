@@ -17,6 +17,7 @@ Sequence of an active scan:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from thorvaldc.can.canopen import HEARTBEAT, SDO_REQUEST, SDO_RESPONSE, DriveState, NmtState
 from thorvaldc.can.frame import CanInterface
@@ -30,7 +31,8 @@ from thorvaldc.commissioning.bus_configuration import (
 )
 from thorvaldc.commissioning.lss_master import LssError, LssMaster
 from thorvaldc.diagnostics import DiagnosticError
-from thorvaldc.model import Robot
+from thorvaldc.model import Node, Robot
+from thorvaldc.model.bus_identity import SERIAL_NUMBER
 
 PERIODS = 3.2
 """Listening time in periods of the slowest heartbeat.
@@ -404,3 +406,23 @@ def scan_robot(robot: Robot, interfaces: Mapping[str, CanInterface]) -> list[sca
             raise bus_master.other_master_error(list(scan.masters))
         entries += scan.entries
     return entries
+
+
+def with_serial_numbers(robot: Robot, devices: Sequence[scan_result.ScanEntry]) -> Robot:
+    """Returns the robot with the serial numbers of its devices.
+
+    The base then compares them at each start-up, also after a device was replaced.
+    """
+    serials = {e.node: e.identity.serial for e in devices if e.identity and e.identity.serial}
+
+    def stated(node: Node) -> Node:
+        objects = tuple(
+            replace(o, value=serials.get(node.name, o.value))
+            if (o.index, o.subindex) == SERIAL_NUMBER
+            else o
+            for o in node.objects
+        )
+        return replace(node, objects=objects)
+
+    buses = tuple(replace(bus, nodes=tuple(map(stated, bus.nodes))) for bus in robot.buses)
+    return replace(robot, buses=buses)

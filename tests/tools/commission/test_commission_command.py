@@ -19,9 +19,14 @@ from thorvaldc.commissioning.commission_report import (
     motor_key,
 )
 from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json, to_json
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.motor_controller import Axis
+from thorvaldc.runtime.driven_robot import DrivenRobot
+from thorvaldc.runtime.driver import DriverState
+from thorvaldc.runtime.run_session import RunSession
 from thorvaldc.simulation.bus import simulated_robot
 from thorvaldc.simulation.bus.motor_wiring import Wiring
 from thorvaldc.tools.commission.console_operator import ConsoleOperator
@@ -427,6 +432,47 @@ def test_a_controller_that_does_not_answer_is_refused(
     refused = thorvaldc(*run, "--commissioned")
     assert refused.status == 1
     assert "left_controller is missing: no device answers for it" in " ".join(refused.err.split())
+
+
+def test_a_controller_that_is_replaced_during_a_run_is_refused(
+    thorvaldc: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A reset after the replacement begins a new start, which compares the serial numbers."""
+    (tmp_path / "robot.yaml").write_text(ROVER, encoding="utf-8")
+    assert thorvaldc("can", "commission", "robot.yaml", "--bus", "virtual").status == 0
+    simulations: list[simulated_robot.SimulatedRobot] = []
+    power_on, run_to_end = simulated_robot.SimulatedRobot.power_on, RunSession.run
+    replaced: list[float] = []
+
+    def remember(self: simulated_robot.SimulatedRobot) -> None:
+        simulations.append(self)
+        power_on(self)
+
+    def run_with_replacement(self: RunSession, watch: object) -> Diagnostic | None:
+        self.duration = math.inf  # a person resets a fault: it does not end the run
+        devices = simulations[-1].devices
+
+        def replace_drive(driven: DrivenRobot, state: DriverState) -> None:
+            fault = self.base.state is BaseState.FAULT
+            if not replaced and self.base.state is BaseState.READY:
+                replaced.append(driven.now)
+                devices["left_controller"].power_off()
+                simulations[-1].clone("left_controller", "spare").power_on()
+            elif fault and self.base.state_machine.mismatch:
+                self.stop_requested = True
+            elif fault and driven.now - replaced[0] > 2.0:
+                driven.reset()
+            assert len(replaced) == 0 or driven.now - replaced[0] < 20.0
+
+        return run_to_end(self, replace_drive)
+
+    monkeypatch.setattr(simulated_robot.SimulatedRobot, "power_on", remember)
+    monkeypatch.setattr(RunSession, "run", run_with_replacement)
+    run = ("run", "robot.yaml", "--bus", "virtual", "--fast", "--duration", "30s")
+    result = thorvaldc(*run, "--commissioned")
+    assert result.status == 1
+    assert replaced
+    assert "left_controller: serial_number (0x1018:4) is" in " ".join(result.err.split())
 
 
 def test_a_page_contains_no_markup_of_a_report(

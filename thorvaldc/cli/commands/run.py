@@ -109,10 +109,8 @@ def run(
                 if virtual
                 else open_interfaces(bus, loaded.robot)
             )
-            if checked is not None:
-                _require_commissioned(*checked, loaded.robot, interfaces)
             session = RunSession(
-                loaded.robot,
+                _identified(loaded.robot, checked, interfaces),
                 interfaces,
                 parameters=parameters or None,
                 twist=commanded_twist,
@@ -144,27 +142,32 @@ def _read_report(file: str, robot: Robot) -> tuple[Path, CommissionReport]:
     return path, read_report(path)
 
 
-def _require_commissioned(
-    path: Path,
-    report: CommissionReport,
+def _identified(
     robot: Robot,
+    checked: tuple[Path, CommissionReport] | None,
     interfaces: Mapping[str, CanInterface],
-) -> None:
-    """Compares the report with the robot file and with the devices, before anything can move."""
+) -> Robot:
+    """Compares a report with the robot and with the devices on its buses, before anything can move.
+
+    Returns the robot with the serial numbers of the devices, or as it is if no report is demanded.
+    """
     from thorvaldc.cli.diagnostic_output import message
     from thorvaldc.commissioning.commission_report import identity_note, require_commissioned
-    from thorvaldc.commissioning.scanner import scan_robot
+    from thorvaldc.commissioning.scanner import scan_robot, with_serial_numbers
     from thorvaldc.diagnostics import DiagnosticError
 
+    if checked is None:
+        return robot
     try:
         devices = scan_robot(robot, interfaces)
-        require_commissioned(path, report, robot, devices)
+        require_commissioned(*checked, robot, devices)
     except DiagnosticError:
         for interface in interfaces.values():
             interface.close()
         raise
     if note := identity_note(robot, devices):
         message(f"note: {note}")
+    return with_serial_numbers(robot, devices)
 
 
 def _refuse_simulation(faults: str, seed: str, physics: str, fast: bool) -> None:

@@ -192,13 +192,15 @@ def _check_motors(
 ) -> str:
     """Checks the motors; returns the reason why the checks ended before their end, or nothing."""
     from thorvaldc.cli.diagnostic_output import message
+    from thorvaldc.commissioning.scanner import with_serial_numbers
     from thorvaldc.tools.commission.motor_checks import MotorChecks
     from thorvaldc.tools.commission.motor_session import MotorSession
 
     message(SAFETY)
     if file.kept:
         message(f"passed before, not repeated: {', '.join(file.kept)} (--again repeats them)")
-    session = MotorSession(file.robot, interfaces, threaded=threaded)
+    robot = with_serial_numbers(file.robot, file.devices)
+    session = MotorSession(robot, interfaces, threaded=threaded)
     checks = MotorChecks(session, operator, file.results, file.kept, file.write)
     if session.run(checks.run(), stop=lambda: operator.closed):
         return checks.interruption
