@@ -539,6 +539,16 @@ def test_answers_at_the_terminal(
     assert getattr(answer[0], "name", answer[0]) == expected
 
 
+def test_the_person_at_the_terminal_is_told_at_once(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = compile_file(folder / "robot.yaml").model
+    assert isinstance(robot, Robot)
+    monkeypatch.setattr("sys.stdin", Lines())
+    ConsoleOperator(robot).alarm("cut the power: wheel left_wheel")
+    assert "\ncut the power: wheel left_wheel\n" in capsys.readouterr().err
+
+
 def test_the_picture_marks_the_wheel_and_fits_in_80_columns(folder: Path) -> None:
     robot = compile_file(folder / "robot.yaml").model
     assert isinstance(robot, Robot)

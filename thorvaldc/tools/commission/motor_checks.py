@@ -47,7 +47,7 @@ STEERING_TRAVEL = math.radians(30.0)
 LIMIT_MARGIN = math.radians(3.0)
 """Distance (rad) from the limits of a steering joint up to which it is turned."""
 STEADY = 0.3
-"""Time (s) at the test speed before a stop."""
+"""Time (s) at the test speed before a stop, and at least ``REPORT_CYCLES`` control cycles."""
 REST_SHARE = 0.05
 """Share of the test speed below which a motor is at rest."""
 SLOWER = 0.8
@@ -370,9 +370,13 @@ class MotorChecks:
         """Begins a motion, and returns at the test speed, or before it if a fault is expected."""
         watch = yield from self._begin(axis, test_speed(axis))
         since = math.nan
-        begun = self.session.now
-        while not self.session.now - since >= STEADY:
-            if not self._goes_on(watch) or self.session.now - begun > START_LIMIT:
+        settings, twist = self.session.driven.driver.settings, self.session.twist
+        linear = twist.speed / settings.max_linear_acceleration
+        ramp = max(linear, abs(twist.wz) / settings.max_angular_acceleration)
+        until = self.session.now + START_LIMIT + ramp
+        steady = max(STEADY, REPORT_CYCLES * self.session.driven.period)
+        while not self.session.now - since >= steady:
+            if not self._goes_on(watch) or self.session.now > until:
                 break
             if self.session.base.share >= 0.99 and math.isnan(since):
                 since = self.session.now
@@ -553,7 +557,7 @@ SAFETY_TEXT, LOCK_TEXT, ALONE_TEXT = (
     for how in ("by the safety stop", "by a stop lock", "by itself, as if this program had ended")
 )
 START_LIMIT = 5.0
-"""Longest time (s) until a motor has reached its test speed."""
+"""Longest time (s) until a motor has reached its test speed, after the ramp of the driver."""
 
 
 # -- the stated motion -----------------------------------------------------------------------------
