@@ -6,6 +6,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -24,6 +25,7 @@ from thorvaldc.runtime.service_table import ServiceError
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.physics.sim_base import SimBase
 
+ROOT = Path(__file__).resolve().parents[2]
 FORWARD = Twist(0.3, 0.0, 0.0)
 SOURCE = "auto_nav"
 FUTURE = "the stamp of the twist is 0.200 s in the future; max_command_lead is 0.1 s"
@@ -39,6 +41,11 @@ def test_defaults_are_in_their_ranges_for_every_example() -> None:
             if isinstance(default, float):
                 lowest, highest = parameter.range_for(robot)
                 assert lowest <= default <= highest, parameter.name
+
+
+def test_the_page_has_every_parameter() -> None:
+    page = (ROOT / "docs/ros2-node.md").read_text(encoding="utf-8")
+    assert [p.name for p in PARAMETERS if f"| `{p.name}` |" not in page] == []
 
 
 @pytest.mark.parametrize("name", SAMPLED_ROBOTS)

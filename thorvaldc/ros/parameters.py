@@ -134,7 +134,7 @@ PARAMETERS: tuple[NodeParameter, ...] = (
         "longest_silence",
         default_silence,
         "time of ROS without usable joint states after which the base `topics` is in a fault; at"
-        " most the command time-out",
+        " most the command time-out, by default half of it",
         "s",
         lowest=shortest_silence,
         highest=lambda robot: max(robot.driver.command_timeout, shortest_silence(robot)),

@@ -12,6 +12,7 @@ from tests.model.stops import stop_bound
 from tests.ros.virtual_topics import PERIOD, VirtualTopics
 from thorvaldc.model import Robot
 from thorvaldc.model.stopping import STOP_LOCK
+from thorvaldc.ros.parameters import default_silence
 from thorvaldc.runtime.motion_supervision import SHORTEST, FollowLimits
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.tools.fault_matrix.fault_cases import DRIVING, MOVING_PHASES, STOPPING
@@ -25,11 +26,11 @@ Injection = Callable[[VirtualTopics], None]
 
 
 class TopicFault(NamedTuple):
-    """A fault; ``detection``: longest time (s) until the driver stops the robot, or none."""
+    """A fault; ``detection``: longest time (s) until the driver stops the robot."""
 
     name: str
     inject: Injection
-    detection: float | None
+    detection: float
 
 
 def lost(seconds: float) -> Injection:
@@ -69,10 +70,11 @@ def robot() -> Robot:
 
 def faults(robot: Robot) -> Iterator[TopicFault]:
     timeout = robot.driver.command_timeout
-    yield TopicFault("no joint states", lost(math.inf), 0.1 + 2 * PERIOD)
-    yield TopicFault("no joint states for 0.06 s", lost(0.06), 0.1)
-    yield TopicFault("no joint states for 0.2 s", lost(0.2), 0.1 + 2 * PERIOD)
-    yield TopicFault("joint states that are not numbers", wrong, 0.1 + 2 * PERIOD)
+    silence = default_silence(robot)
+    yield TopicFault("no joint states", lost(math.inf), silence + 2 * PERIOD)
+    longer = silence + 0.05
+    yield TopicFault(f"no joint states for {longer:.1f} s", lost(longer), silence + 2 * PERIOD)
+    yield TopicFault("joint states that are not numbers", wrong, silence + 2 * PERIOD)
     limits = FollowLimits()
     speed = robot.driver.max_linear_velocity / max(w.radius for w in robot.wheels)
     frozen_for = max(SHORTEST, limits.excess / (limits.share * speed))
@@ -131,7 +133,7 @@ def rows() -> Iterator[tuple[TopicFault, dict[str, Reaction], list[str]]]:
     stop = stop_bound(model, STOP_LOCK)
     for fault in faults(model):
         reactions = {phase: react(model, fault, phase) for phase in MOVING_PHASES}
-        limit = fault.detection or 0.0
+        limit = fault.detection
         farthest = stop.distance + model.driver.max_linear_velocity * limit
         broken = []
         for phase, reaction in reactions.items():
@@ -153,7 +155,7 @@ def cells() -> Iterator[tuple[str, ...]]:
     for fault, reactions, broken in rows():
         if broken:
             raise ValueError("; ".join(broken))
-        limit = fault.detection or 0.0
+        limit = fault.detection
         way = stop.distance + model.driver.max_linear_velocity * limit
         promised = f"{limit:.2f} s, {stop.time + limit:.1f} s, {way:.2f} m"
         yield fault.name, *(reaction_text(r) for r in reactions.values()), promised
