@@ -203,10 +203,6 @@ class TopicBase(BaseHandle):
         return self._fault
 
     @property
-    def awaited(self) -> tuple[str, str]:
-        return f"usable message on {self._topic}", "is its sender or the computer too busy?"
-
-    @property
     def longest_normal(self) -> float:
         return self._longest_silence + 3.0 * _LOOK  # a fault notices the silence before
 

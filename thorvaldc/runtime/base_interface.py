@@ -138,11 +138,6 @@ class BaseHandle(abc.ABC):
         return False
 
     @property
-    def awaited(self) -> tuple[str, str]:
-        """What each control cycle waits for, and the question to the operator if it is late."""
-        return "control cycle", "is the computer too busy?"
-
-    @property
     def longest_normal(self) -> float | None:
         """Longest time (s) between two control cycles that is no gap, see ``pace``; ``None``: as it
         follows from the period."""

@@ -386,7 +386,7 @@ class BaseDriver:
             self._command_time = -math.inf
             # A base that does not follow joint commands stands or stops the robot itself.
             fault = gap is Gap.LONG and not hold_reason
-            reason = gap_text(now - self.state.time, self.base.awaited[0])
+            reason = gap_text(now - self.state.time)
             self.permission.step(Rules.void, reason, now, fault, every=False)
         if hold_reason:
             return DriveMode.HELD, ZERO_TWIST, hold_reason

@@ -242,9 +242,9 @@ class TimeGapRule:
         self.latest = (*self.latest[1 - MOST_GAPS :], now)
 
 
-def gap_text(elapsed: float, awaited: str = "control cycle") -> str:
+def gap_text(elapsed: float) -> str:
     """Returns the reason that the operator sees, such as ``no control cycle for 120 ms``."""
-    return f"no {awaited} for {elapsed * 1000.0:.0f} ms"
+    return f"no control cycle for {elapsed * 1000.0:.0f} ms"
 
 
 # -- signals that end a run: the program stops the robot in order, and ends then ----------------
