@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -73,6 +74,17 @@ def test_the_start_names_controllers_that_are_exchanged_in_the_file(tmp_path: Pa
     assert "fl_controller: serial_number (0x1018:4) is 257" in rig.reason
     rig = Rig(robot, memory=memory)
     rig.ready()
+
+
+def test_a_drive_without_lss_reports_the_serial_number_of_the_file() -> None:
+    robot = at_home(cia402_robot())
+    nodes = [replace(node, lss=False) for node in robot.buses[0].nodes]
+    robot = replace(robot, buses=(replace(robot.buses[0], nodes=tuple(nodes)),))
+    rig = Rig(robot)
+    rig.ready()
+    device = rig.simulated.devices[FL]
+    assert isinstance(device, CanopenDevice)
+    assert device.lss is None
 
 
 def test_controllers_that_are_wired_crosswise_turn_the_other_wheel() -> None:

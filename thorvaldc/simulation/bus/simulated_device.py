@@ -361,13 +361,14 @@ def hardware(robot: Robot, node: Node, name: str) -> dict[str, Any]:
 
     They are those of the robot file.  The device keeps them if the file changes later.  If the file
     has no serial number, that of a device with LSS depends only on the names.  A clone, whose
-    ``name`` is not that of the node, has a serial number of its own.
+    ``name`` is not that of the node, has a serial number of its own.  A device without LSS and
+    without a product code cannot report a serial number.
     """
     motors = {c.name: c.actuator for c in node.channels if c.actuator is not None}
     identity: dict[str, Any] = {MOTORS: motors} if motors else {}
-    if node.lss:
-        number = node.serial_number if name == node.name else None
-        if number is None:
+    number = node.serial_number
+    if node.lss or (number is not None and node.product_code is not None):
+        if number is None or name != node.name:
             number = zlib.crc32(f"{robot.name}/{name}".encode())
         identity[SERIAL] = f"{number:#x}"
     return identity
@@ -387,6 +388,7 @@ class DeviceDescription:
     * ``heartbeat_period``: period of the heartbeat (s).
     * ``bitrates``: supported bitrates (bit/s).
     * ``quirks``: deviations from the default behaviour.
+    * ``has_lss``: true if a device with a serial number has LSS.
     """
 
     device_type: int = 0
@@ -398,6 +400,7 @@ class DeviceDescription:
     heartbeat_period: float = 0.1
     bitrates: tuple[int, ...] = tuple(lss.BITRATES.values())
     quirks: frozenset[Quirk] = frozenset()
+    has_lss: bool = True
 
     @classmethod
     def from_specification(
@@ -407,18 +410,19 @@ class DeviceDescription:
 
         ``device_type`` applies if the node does not have a device type.
         """
-        node = specification.node
+        node, serial = specification.node, specification.nonvolatile.get(SERIAL)
         factory_state = specification.delivered and node.lss
         return cls(
             device_type=node.device_type or device_type,
             vendor=node.vendor_id or 0,
             product=node.product_code or 0,
             revision=node.revision_number or 0,
-            serial=int(specification.nonvolatile[SERIAL], 16) if node.lss else None,
+            serial=None if serial is None else int(serial, 16),
             name=name,
             heartbeat_period=0.0 if factory_state else specification.heartbeat_period,
             bitrates=node.bitrates or tuple(lss.BITRATES.values()),
             quirks=specification.quirks,
+            has_lss=node.lss,
         )
 
 
