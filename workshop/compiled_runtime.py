@@ -34,6 +34,7 @@ GROUP = "thorvaldc_tick"
 RUNTIME_MODULES = (
     "model/sums",
     "runtime/se2",
+    "runtime/motion_supervision",
     "runtime/base_interface",
     "runtime/calculators/base_geometry",
     "runtime/calculators/twist_fit",

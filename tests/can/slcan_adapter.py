@@ -11,6 +11,8 @@ from collections.abc import Callable
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
+LONGEST_STEP = 0.02  # s
+
 
 class SlcanAdapter:
     """Another process opens ``path``; ``serve`` passes frames on in real time."""
@@ -29,12 +31,17 @@ class SlcanAdapter:
         self._unwritten = b""
 
     def serve(self, until: Callable[[], bool], limit: float) -> None:
-        """Passes frames on until ``until()`` is true, for at most ``limit`` s."""
-        start = time.monotonic() - self.simulated.timeline.seconds
-        end = time.monotonic() + limit
-        while not until() and time.monotonic() < end:
+        """Passes frames on until ``until()`` is true, for at most ``limit`` s.
+
+        The time of the bus goes on with the real time, but by a short step only after this process
+        was not served: else the watchdogs of the drives would act, as they should.
+        """
+        last = time.monotonic()
+        end = last + limit
+        while not until() and last < end:
             self._read_serial()
-            self.client.sleep_until(time.monotonic() - start)
+            elapsed, last = time.monotonic() - last, time.monotonic()
+            self.client.sleep_until(self.simulated.timeline.seconds + min(elapsed, LONGEST_STEP))
             self._write_serial()
             time.sleep(0.001)
 

@@ -15,6 +15,7 @@ from thorvaldc.runtime.can_base.node_watchdog import ObjectSupervision
 from thorvaldc.runtime.can_base.stop_ladder import StopLadder
 from thorvaldc.runtime.control_channel import ControlServer
 from thorvaldc.runtime.driven_robot import DrivenRobot
+from thorvaldc.runtime.motion_supervision import Follower
 from thorvaldc.runtime.pace import Gap, TimeGapRule
 from thorvaldc.runtime.permission import DONE, MotionPermission, Permission, Rules, Step
 from thorvaldc.runtime.service_table import Caller
@@ -124,7 +125,7 @@ def _object_readback() -> None:
 
 def _motion_supervision() -> None:
     """Motors that do not follow their targets are not noticed while the robot drives or stands."""
-    _replace(StopLadder, "problem", lambda self: "")
+    _replace(Follower, "problem", lambda self, now: "")
 
 
 def _stop_ladder() -> None:

@@ -23,6 +23,8 @@ from std_srvs.srv import SetBool, Trigger
 TIMEOUT = 120.0
 VOID = "send them again"
 """Part of the answer to a request that waited during a gap in time."""
+GAP = "no control cycle for"
+"""Part of the reasons of a robot that stopped because the computer was busy."""
 
 
 class Client:
@@ -178,7 +180,7 @@ class Client:
         end = time.monotonic() + TIMEOUT
         while not (answer := self.switch("enable"))[0] or answer[1].startswith("homing"):
             assert time.monotonic() < end, answer
-            if "is the computer too busy?" in answer[1]:
+            if GAP in answer[1]:
                 self.trigger("reset_faults")
             self.send(0.0)
             self.spin(0.05)
@@ -190,12 +192,16 @@ class Client:
     def drive(self, vx: float, **options: Any) -> None:
         """Drives until the odometry shows the speed, with zero first, as for a new source.
 
-        A gap in time, or another source that falls silent, needs a zero in between.
+        A gap in time, or another source that falls silent, needs a zero in between; a long gap a
+        reset too.
         """
         tries = iter(range(100_000))
 
         def send() -> None:
-            self.send(0.0 if next(tries) % 60 == 0 else vx, **options)
+            first = next(tries) % 60 == 0
+            if first and GAP in self.status():
+                self.arm()
+            self.send(0.0 if first else vx, **options)
 
         self.wait(f"{vx} m/s", lambda: abs(self.speed() - vx) < 0.01, send)
 

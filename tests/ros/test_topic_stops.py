@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -12,6 +13,7 @@ from tests.examples import example_robot
 from tests.model.stops import stop_bound
 from tests.ros.virtual_topics import PERIOD, VirtualTopics
 from thorvaldc.model.stopping import STOP_LOCK
+from thorvaldc.ros.parameters import default_silence
 from thorvaldc.runtime.se2 import Twist
 
 TOP = Twist(1.0, 0.0, 0.3)
@@ -69,3 +71,70 @@ def test_a_fault_of_the_joint_states_needs_a_reset_and_an_arming() -> None:
     rig.driven.call("reset_faults")
     rig.drive(TOP, 1.0)
     assert max(rig.commanded) > 0.9
+
+
+def test_a_second_of_wrong_joint_states_is_no_gap_of_the_computer() -> None:
+    """After the reset, arming was refused with "is the computer too busy?" for two seconds."""
+    rig = VirtualTopics(example_robot("4wd4ws_wide"))
+    rig.drive(TOP, 1.0)
+    rig.change = lambda states: replace(states, speeds=[math.nan] * len(states.speeds))
+    for _ in range(50):
+        rig.step()
+    reason, _ = rig.driven.arming_reasons(rig.driven.now)  # and a motion is commanded
+    assert "has the position" in reason
+    assert "and the speed nan" in reason
+    rig.change = lambda states: states
+    rig.twist = Twist(0.0, 0.0, 0.0)
+    for _ in range(75):
+        rig.step()
+    rig.driven.call("reset_faults")
+    assert rig.driven.arming_reasons(rig.driven.now) == []
+
+
+def test_a_gap_of_the_joint_states_names_their_topic() -> None:
+    rig = VirtualTopics(example_robot("4wd4ws_wide"))
+    rig.drive(TOP, 1.0)
+    rig.step(0.5)
+    rig.twist = Twist(0.0, 0.0, 0.0)
+    for _ in range(50):
+        rig.step()
+    reasons = rig.driven.arming_reasons(rig.driven.now)
+    assert any("there was no usable message on /engine/joint_states for" in r for r in reasons)
+    assert not any("control cycle" in reason for reason in reasons)
+
+
+@pytest.mark.parametrize("period", [0.05, 0.1, 0.2])
+def test_a_slow_engine_is_no_fault_within_the_longest_silence(period: float) -> None:
+    """A Gazebo at half speed latched a fault: three gaps above 50 ms within 2 s."""
+    rig = VirtualTopics(example_robot("4wd4ws_wide"))
+    rig.drive(Twist(0.3, 0.0, 0.0), 1.0)
+    for _ in range(30):
+        rig.step(period)
+    assert rig.driven.state()["fault"] == ""
+    assert rig.driven.armed
+    assert max(rig.commanded) == pytest.approx(0.3)
+
+
+def test_the_longest_silence_follows_from_the_stopping_distance() -> None:
+    robot = example_robot("4wd4ws_wide")
+    assert default_silence(robot) == 0.25
+    quick = replace(robot, driver=replace(robot.driver, command_timeout=0.16))
+    assert default_silence(quick) == 0.08
+    rig = VirtualTopics(quick)
+    rig.drive(TOP, 1.0)
+    rig.change = lambda states: None
+    for _ in range(3):
+        rig.step()
+    assert rig.driven.armed
+    for _ in range(4):
+        rig.step()
+    assert not rig.driven.armed
+
+
+def test_a_guard_that_has_ended_is_named() -> None:
+    rig = VirtualTopics(example_robot("4wd4ws_wide"))
+    rig.drive(TOP, 0.2)
+    assert rig.driven.base.warnings(rig.now) == []
+    rig.guarded = False
+    (warning,) = rig.driven.base.warnings(rig.now)
+    assert warning.startswith("no joint_guard hears /engine/heartbeat")

@@ -13,7 +13,8 @@ from typing import Any
 
 from tests.ros.topic_rig import TopicRig, stamp
 from thorvaldc.model.stopping import STOP_LOCK, stop_bounds
-from thorvaldc.ros.topic_base import LONGEST_STILL
+
+NOTICED = 0.35  # s, with which a wheel that stands is 0.3 rad behind its target
 
 
 def main() -> None:
@@ -130,11 +131,12 @@ def joints_that_do_not_move(rig: TopicRig) -> None:
             pairs = zip(rig.commands.speeds, last, strict=True)
             assert all(abs(speed) <= abs(before) + 1e-12 for speed, before in pairs)
         last = list(rig.commands.speeds)
-        assert rig.now - begin < LONGEST_STILL + bound.time, rig.commands.speeds
+        assert rig.now - begin < NOTICED + bound.time, rig.commands.speeds
     assert any(rig.states.speeds), "they are frozen while they turn"
-    assert fault_at - begin < LONGEST_STILL + 2.5 * rig.robot.period
-    assert way < 0.5 * LONGEST_STILL + bound.distance
-    assert "do not change, although the wheels are commanded to turn" in rig.fault(), rig.fault()
+    assert fault_at - begin < NOTICED
+    assert way < 0.5 * NOTICED + bound.distance
+    assert "the joint " in rig.fault(), rig.fault()
+    assert "does not follow its target" in rig.fault(), rig.fault()
     assert rig.fault() in refusal(lambda: rig.robot.call("arm"))
 
 

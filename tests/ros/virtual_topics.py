@@ -64,6 +64,7 @@ class VirtualTopics:
 
     - ``now``: time (s) of the engine;
     - ``change``: what becomes of the joint states on their way; ``None``: they are lost;
+    - ``guarded``: whether a guard hears the heartbeat of the driver;
     - ``offset``: time of ROS minus the time of the engine, which a reset changes.
     """
 
@@ -76,6 +77,7 @@ class VirtualTopics:
         self.change: Callable[[JointStates], JointStates | None] = lambda states: states
         self.offset = 10.0
         self.twist: Twist | None = Twist(0.0, 0.0, 0.0)
+        self.guarded = True
         self._joints = {**wheel_joints(robot)[0], **wheel_joints(robot)[1]}
         with without_ros():
             from thorvaldc.ros.topic_base import robot_behind_topics
@@ -86,7 +88,11 @@ class VirtualTopics:
     # -- the node of the base --------------------------------------------------------------------
 
     def create_publisher(self, kind: object, topic: str, depth: int) -> Any:
-        return SimpleNamespace(publish=lambda message: self._hear(topic, message))
+        return SimpleNamespace(
+            publish=lambda message: self._hear(topic, message),
+            get_subscription_count=lambda: int(self.guarded),
+            topic_name=f"/{topic}",
+        )
 
     def create_subscription(self, kind: object, topic: str, take: object, qos: object) -> Any:
         return SimpleNamespace(topic_name=f"/{topic}")

@@ -276,7 +276,9 @@ class BaseDriverNode(GuardedLifecycleNode):
             self.get_logger().warning(UNTESTED)
         try:
             if values["base"] == TOPICS:
-                self.robot = robot_behind_topics(self, self.model, values["joint_topics"])
+                self.robot = robot_behind_topics(
+                    self, self.model, values["joint_topics"], values["longest_silence"]
+                )
             else:
                 self.robot = open_robot(
                     self.model,

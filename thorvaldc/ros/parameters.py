@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 
 from thorvaldc.model import Robot
 from thorvaldc.model.settings import DRIVER, FOR_FILTERS, MEASURED, ODOM_FRAME
+from thorvaldc.runtime.pace import NORMAL_PERIODS, WATCHDOG_SHARE
 from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LARGEST, LIMITS, Parameters
 
 ParameterValue = str | bool | float
@@ -98,6 +99,19 @@ def _limit(name: str) -> NodeParameter:
     )
 
 
+def default_silence(robot: Robot) -> float:
+    """Returns the time (s) without joint states after which a robot behind topics stops.
+
+    Nothing stops its joints in the meantime, so that it is a share of the command time-out, which
+    follows from the stopping distance of the robot where it has one.
+    """
+    return max(WATCHDOG_SHARE * robot.driver.command_timeout, shortest_silence(robot))
+
+
+def shortest_silence(robot: Robot) -> float:
+    return NORMAL_PERIODS / robot.driver.rate
+
+
 _TIMEOUT = _bounds(lambda parameters: parameters.range_of(COMMAND_TIMEOUT))
 PARAMETERS: tuple[NodeParameter, ...] = (
     NodeParameter(
@@ -115,6 +129,15 @@ PARAMETERS: tuple[NodeParameter, ...] = (
         "topics of the joints of the base `topics`: one topic for each joint, two forward"
         " controllers of ros2_control, or messages JointState",
         choices=DIALECTS,
+    ),
+    NodeParameter(
+        "longest_silence",
+        default_silence,
+        "time of ROS without usable joint states after which the base `topics` is in a fault; at"
+        " most the command time-out",
+        "s",
+        lowest=shortest_silence,
+        highest=lambda robot: max(robot.driver.command_timeout, shortest_silence(robot)),
     ),
     NodeParameter(
         "real_time_factor",

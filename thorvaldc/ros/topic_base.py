@@ -17,8 +17,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from rclpy.duration import Duration
@@ -26,20 +25,17 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty
 
-from thorvaldc.model import Robot
+from thorvaldc.model import Robot, wheel_joints
 from thorvaldc.model.joint_topics import HEARTBEAT
 from thorvaldc.ros.joint_messages import STATES_TOPICS, JointCommandTopics, JointStateReader
-from thorvaldc.ros.parameters import JOINT_STATES
+from thorvaldc.ros.parameters import JOINT_STATES, default_silence
 from thorvaldc.runtime.base_interface import BaseHandle, ComponentStatus, JointCommands, JointStates
 from thorvaldc.runtime.driven_robot import DrivenRobot
+from thorvaldc.runtime.motion_supervision import Axis, Deviation
 from thorvaldc.runtime.pace import Pace
 
-LONGEST_SILENCE = 0.1
-"""Time (s) of ROS without usable joint states after which the base is in a fault."""
 LARGEST_LAG = 0.5
 """Largest difference (s) between the stamp of joint states and the time of ROS."""
-LONGEST_STILL = 0.5
-"""Time (s) within which the joints of a robot that is commanded to move must change."""
 JUMP = 1.0
 """Time (s) of the driver that passes when the stamps jump back.  The odometry takes the motion of
 the robot in so long a time as unknown."""
@@ -47,7 +43,6 @@ _LOOK = 0.02
 """Longest real time (s) between two looks at the age of the joint states."""
 _EARLY = 0.25
 """Share of a period by which joint states may come early: stamps are not quite regular."""
-_MOVING = 0.05  # rad/s
 _DELIVERY = 0.1  # s, real time
 
 
@@ -59,8 +54,14 @@ class TopicBase(BaseHandle):
 
     gaps_are_faults = True  # the other program keeps the last commands
 
-    def __init__(self, node: Any, robot: Robot, dialect: str) -> None:
-        """Creates the topics on ``node``, in its name space."""
+    def __init__(
+        self, node: Any, robot: Robot, dialect: str, longest_silence: float | None = None
+    ) -> None:
+        """Creates the topics on ``node``, in its name space.
+
+        ``longest_silence``: time (s) of ROS without usable joint states after which the base is in
+        a fault; by default as ``default_silence`` says.
+        """
         self._node = node
         self._wheels = len(robot.wheels)
         self._commands = JointCommandTopics(node, robot, dialect)
@@ -75,13 +76,18 @@ class TopicBase(BaseHandle):
         self._origin = 0  # ns; the stamp at the time 0
         self._time = 0.0  # of the newest joint states, or of their absence
         self._silence = 0.0
+        self._longest_silence = longest_silence or default_silence(robot)
         self._looked = self._ros_time()
         self._messages = 0
         self._waited_at = -1  # number of messages at the end of the last wait for nothing
         self._fault = ""
         self._refusal = ""
-        self._changed = 0.0
-        self._moves = False
+        drives, steering = wheel_joints(robot)
+        self._axes = [
+            Axis(motor, wheel, f"joint {joint}")
+            for joint, wheel in (*drives.items(), *steering.items())
+            if (motor := robot.actuator_of(joint)) is not None
+        ]
 
     # -- joint states and their time -----------------------------------------------------------
 
@@ -106,10 +112,9 @@ class TopicBase(BaseHandle):
             return
         if jump < 0.0:
             self.fail(f"the time of the joint states jumped back by {-jump:.3f} s")
-        last, self._states = self._states, states
+        self._states = states
         self._stamp, self._origin, self._time = stamp, origin, max(now, self._time)
         self._silence, self._looked = 0.0, self._ros_time()
-        self._note_change(last, states)
 
     def _refusal_of(self, stamp: int, jump: float) -> str:
         """Returns why joint states with this stamp (ns) are not usable, or an empty text."""
@@ -130,17 +135,6 @@ class TopicBase(BaseHandle):
             )
         return ""
 
-    def _note_change(self, last: JointStates | None, states: JointStates) -> None:
-        """Puts the base into a fault if the joints are commanded to move and do not change."""
-        is_same = last is not None and replace(last, time=states.time) == states
-        if not (is_same and self._moves):
-            self._changed = states.time
-        elif states.time - self._changed > LONGEST_STILL:
-            self.fail(
-                f"the joint states on {self._topic} do not change, although the wheels are"
-                " commanded to turn"
-            )
-
     def look(self) -> None:
         """Notes the time without joint states, which is a fault if it is too long.
 
@@ -150,9 +144,9 @@ class TopicBase(BaseHandle):
         elapsed = min(max(now - self._looked, 0.0), 2.0 * _LOOK)
         self._looked = now
         self._silence += elapsed
-        if self._states is not None and self._silence > LONGEST_SILENCE:
+        if self._states is not None and self._silence > self._longest_silence:
             self.fail(self._refusal or f"no joint states on {self._topic}")
-            self._time += elapsed
+            self._time = max(self._time, self._states.time + self._silence)
 
     def poll(self, longest: float) -> None:
         """Waits until new joint states are taken, for at most ``longest`` s of real time."""
@@ -176,7 +170,7 @@ class TopicBase(BaseHandle):
         without a message is that long: the cycles of a stop would last minutes.
         """
         silent = self._messages == self._waited_at
-        end = time.monotonic() + (when - self._time if silent else LONGEST_SILENCE)
+        end = time.monotonic() + (when - self._time if silent else self._longest_silence)
         while self._time < when and time.monotonic() < end:
             self.poll(end - time.monotonic())
         if self._time < when:
@@ -209,6 +203,14 @@ class TopicBase(BaseHandle):
         return self._fault
 
     @property
+    def awaited(self) -> tuple[str, str]:
+        return f"usable message on {self._topic}", "is its sender or the computer too busy?"
+
+    @property
+    def longest_normal(self) -> float:
+        return self._longest_silence + 3.0 * _LOOK  # a fault notices the silence before
+
+    @property
     def _problem(self) -> str:
         return self._fault or self.hold_reason
 
@@ -219,9 +221,24 @@ class TopicBase(BaseHandle):
 
     def read(self, now: float) -> JointStates:
         if self._states is not None and not self.lacks_joint_states:
+            self._measure(self._states)
             return self._states
+        for axis in self._axes:
+            axis.follows = False
         unknown = [math.nan] * self._wheels
         return JointStates(now, unknown, unknown, unknown, unknown)
+
+    def _measure(self, states: JointStates) -> None:
+        """Takes the motion of the motors from their positions, which odometry trusts too."""
+        positions = states.positions or states.speeds
+        for axis in self._axes:
+            if states.time > axis.time:
+                position = (states.angles if axis.steering else positions)[axis.wheel]
+                axis.update(states.time, position)
+
+    @property
+    def axes(self) -> Sequence[Axis]:
+        return self._axes
 
     def other_joints(self) -> Mapping[str, tuple[float, float]]:
         return self._reader.others
@@ -230,22 +247,35 @@ class TopicBase(BaseHandle):
         self._alive.publish(Empty())
         if self._states is not None:  # the angles of the steering are unknown before
             self._commands.send(commands)
-            self._moves = any(abs(speed) > _MOVING for speed in commands.speeds)
+            for axis in self._axes:
+                axis.target = (commands.angles if axis.steering else commands.speeds)[axis.wheel]
+                axis.follows = math.isfinite(axis.position)
 
     def fail(self, reason: str) -> None:
         self._fault = self._fault or reason
 
+    def disobeyed(self, deviations: Sequence[Deviation], now: float) -> None:
+        motors = ", ".join(text for _, text in deviations)
+        self.fail(f"by the joint states on {self._topic}, {motors}")
+
     def reset(self, now: float, commanded: bool) -> str:
-        if self._silence > LONGEST_SILENCE:
+        if self._silence > self._longest_silence:
             return self._problem
         if commanded:
             return "a motion is commanded; command zero first"
         self._fault = ""
-        self._changed = now
         return ""
 
     def values(self) -> dict[str, Any]:
         return {"fault": self._problem}
+
+    def warnings(self, now: float) -> list[str]:
+        if self._alive.get_subscription_count():
+            return []
+        return [
+            f"no joint_guard hears {self._alive.topic_name}: if this node is killed, nothing stops"
+            " the drives"
+        ]
 
     def component_statuses(self, now: float) -> Iterable[ComponentStatus]:
         values = {"topic": self._topic, "messages": self._messages, "silence": self._silence}
@@ -278,9 +308,11 @@ class StampPace(Pace):
         self._deadline = begun + (1.0 - _EARLY) * self.period
 
 
-def robot_behind_topics(node: Any, robot: Robot, dialect: str) -> DrivenRobot:
-    """Returns the robot of a node on the base `topics`."""
-    base = TopicBase(node, robot, dialect)
+def robot_behind_topics(
+    node: Any, robot: Robot, dialect: str, longest_silence: float | None = None
+) -> DrivenRobot:
+    """Returns the robot of a node on the base `topics`; for the silence see ``TopicBase``."""
+    base = TopicBase(node, robot, dialect, longest_silence)
     try:
         return DrivenRobot(robot, base, base, pace=StampPace(base, 1.0 / robot.driver.rate))
     except BaseException:

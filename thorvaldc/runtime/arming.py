@@ -16,7 +16,7 @@ from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.runtime.base_interface import BaseHandle, ParameterError, RequestRefused
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.multiplexer import Multiplexer
-from thorvaldc.runtime.pace import Pace, Timing
+from thorvaldc.runtime.pace import Pace, Timing, gap_text
 from thorvaldc.runtime.permission import (
     SERVICE_STOP,
     THIS_PROGRAM,
@@ -279,10 +279,8 @@ def check_time(robot: ArmableRobot, now: float) -> Iterator[str]:
         yield fault
     gap = robot.timing.latest_gap
     if gap is not None and now - gap[0] < GAP_MEMORY:
-        yield (
-            f"there was no control cycle for {gap[1] * 1000.0:.0f} ms, {now - gap[0]:.1f} s ago;"
-            " is the computer too busy?"
-        )
+        awaited, question = robot.base.awaited
+        yield f"there was {gap_text(gap[1], awaited)}, {now - gap[0]:.1f} s ago; {question}"
 
 
 PRE_ARM_CHECKS: tuple[PreArmCheck, ...] = (check_base, check_stops, check_commands, check_time)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from thorvaldc.can.frame import CanFrame
+from thorvaldc.runtime.motion_supervision import Axis, Deviation
 from thorvaldc.runtime.mypyc_marks import mypyc_attr
 from thorvaldc.runtime.service_table import Service
 
@@ -137,6 +138,17 @@ class BaseHandle(abc.ABC):
         return False
 
     @property
+    def awaited(self) -> tuple[str, str]:
+        """What each control cycle waits for, and the question to the operator if it is late."""
+        return "control cycle", "is the computer too busy?"
+
+    @property
+    def longest_normal(self) -> float | None:
+        """Longest time (s) between two control cycles that is no gap, see ``pace``; ``None``: as it
+        follows from the period."""
+        return None
+
+    @property
     def gaps_are_faults(self) -> bool:
         """``True`` if the motors have torque and can move while no control cycle runs."""
         return False
@@ -185,6 +197,18 @@ class BaseHandle(abc.ABC):
 
     def fail(self, reason: str) -> None:
         """Puts the base into a fault because of a gap in time, which it does not see itself."""
+        return
+
+    @property
+    def axes(self) -> Sequence[Axis]:
+        """Motors whose motion the driver compares with their targets, see ``motion_supervision``.
+
+        None where nothing lies between a command and its joint, as in a simulation.
+        """
+        return ()
+
+    def disobeyed(self, deviations: Sequence[Deviation], now: float) -> None:
+        """Stops the robot, because these motors do not follow their targets."""
         return
 
     def note_cycle(self, now: float, *, stale: bool) -> None:

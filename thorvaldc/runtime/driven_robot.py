@@ -253,14 +253,14 @@ class DrivenRobot(ArmableRobot):
         self.timing.latest_gap = (now, elapsed)
         self.multiplexer.notice_gap(self.driver, now)
         if gap is Gap.LONG and self.base.gaps_are_faults:
-            self.base.fail(gap_text(elapsed))
+            self.base.fail(gap_text(elapsed, self.base.awaited[0]))
 
     def _present_gap(self) -> str:
         """Returns the gap in time that lasts now as text, or an empty text."""
         if self.pace.factor is None:
             last = self.driver.state.time
             gap = self.driver.gap_at(self.now)
-            return gap_text(self.now - last) if gap is not Gap.NONE else ""
+            return gap_text(self.now - last, self.base.awaited[0]) if gap is not Gap.NONE else ""
         # The virtual time stands still meanwhile, so that only commands that waited are void.
         late = 0.0 if self.paused else self.pace.lateness
         return gap_text(late) if self.driver.time_gaps.judge(late) is Gap.LONG else ""

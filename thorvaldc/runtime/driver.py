@@ -19,6 +19,7 @@ from thorvaldc.model import DriverSettings, Robot
 from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates, ParameterError
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate, for_robot
+from thorvaldc.runtime.motion_supervision import Deviation, Follower
 from thorvaldc.runtime.odometry import Odometry
 from thorvaldc.runtime.pace import Gap, TimeGapRule, gap_text
 from thorvaldc.runtime.permission import MotionPermission, Rules
@@ -134,7 +135,7 @@ class BaseDriver:
         """Reason why the source that commands the twist moves nothing, or an empty text."""
         self._commanded_twist = ZERO_TWIST
         self._command_time = -math.inf
-        self.time_gaps = TimeGapRule.of(robot, self.settings)
+        self.time_gaps = TimeGapRule.of(robot, self.settings, base.longest_normal)
         self.permission = MotionPermission.of(robot)
         geometry = self.calculator.geometry
         self._ramp = Ramp(self.settings, geometry.length, geometry.steering_time)
@@ -144,6 +145,7 @@ class BaseDriver:
         """``True`` from a gap in time until joint states show how fast the wheels still turn."""
         self._lasting_difference = LastingDifference(geometry)
         self.odometry = Odometry(self.calculator, self.settings.top_speeds)
+        self._followers = [Follower(axis) for axis in base.axes]
         self.state = DriverState(
             -math.inf,
             DriveMode.IDLE,
@@ -294,6 +296,8 @@ class BaseDriver:
             return previous
         if joints is None:
             joints = self.base.read(now)
+        if self._followers:
+            self._supervise_motion(now)
         gap = self.gap_at(now)
         unusable = self._measure(joints, now)
         self._apply_staged_parameters()
@@ -346,6 +350,16 @@ class BaseDriver:
 
     # -- parts of a tick ----------------------------------------------------------
 
+    def _supervise_motion(self, now: float) -> None:
+        """Compares the motion of all motors with the commands of the last cycle."""
+        deviations: list[Deviation] = []
+        for follower in self._followers:
+            text = follower.problem(now)
+            if text:
+                deviations.append(Deviation(follower.axis, text))
+        if deviations:
+            self.base.disobeyed(deviations, now)
+
     def _measure(self, joints: JointStates, now: float) -> str:
         """Updates the odometry.  Returns why the joint states are unusable, or an empty text."""
         try:
@@ -372,7 +386,7 @@ class BaseDriver:
             self._command_time = -math.inf
             # A base that does not follow joint commands stands or stops the robot itself.
             fault = gap is Gap.LONG and not hold_reason
-            reason = gap_text(now - self.state.time)
+            reason = gap_text(now - self.state.time, self.base.awaited[0])
             self.permission.step(Rules.void, reason, now, fault, every=False)
         if hold_reason:
             return DriveMode.HELD, ZERO_TWIST, hold_reason

@@ -124,7 +124,9 @@ class Multiplexer:
         if driver.gap_at(now) is Gap.NONE or now == self._gap_time:
             return
         self._gap_time = now
-        self._permission.step(Rules.void, gap_text(now - driver.state.time), now)
+        self._permission.step(
+            Rules.void, gap_text(now - driver.state.time, driver.base.awaited[0]), now
+        )
 
     def requests(self, now: float) -> list[str]:
         """Returns the names of the sources that request motion, also where it is refused."""

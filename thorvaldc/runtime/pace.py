@@ -216,14 +216,15 @@ class TimeGapRule:
     latest: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, robot: Robot, settings: DriverSettings) -> TimeGapRule:
+    def of(cls, robot: Robot, settings: DriverSettings, normal: float | None = None) -> TimeGapRule:
         """Returns the limits for a robot, from the watchdogs of its drives.
 
         For a robot whose drives have no watchdog, the command time-out replaces the watchdog.
+        ``normal``: longest time (s) without a gap, if it does not follow from the control cycle.
         """
         watchdog = shortest_watchdog(robot)
         watchdog = settings.command_timeout if watchdog is None else watchdog
-        normal = NORMAL_PERIODS / settings.rate
+        normal = NORMAL_PERIODS / settings.rate if normal is None else normal
         return cls(normal, max(WATCHDOG_SHARE * watchdog, normal))
 
     def judge(self, elapsed: float, now: float = math.inf) -> Gap:
@@ -241,9 +242,9 @@ class TimeGapRule:
         self.latest = (*self.latest[1 - MOST_GAPS :], now)
 
 
-def gap_text(elapsed: float) -> str:
+def gap_text(elapsed: float, awaited: str = "control cycle") -> str:
     """Returns the reason that the operator sees, such as ``no control cycle for 120 ms``."""
-    return f"no control cycle for {elapsed * 1000.0:.0f} ms"
+    return f"no {awaited} for {elapsed * 1000.0:.0f} ms"
 
 
 # -- signals that end a run: the program stops the robot in order, and ends then ----------------

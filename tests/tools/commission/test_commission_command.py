@@ -26,7 +26,7 @@ from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json, to_json
-from thorvaldc.runtime.can_base.motor_controller import Axis
+from thorvaldc.runtime.motion_supervision import Axis
 from thorvaldc.simulation.bus import simulated_robot
 from thorvaldc.simulation.bus.motor_wiring import Wiring
 from thorvaldc.tools.commission.console_operator import ConsoleOperator

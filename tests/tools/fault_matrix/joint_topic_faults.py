@@ -12,6 +12,7 @@ from tests.model.stops import stop_bound
 from tests.ros.virtual_topics import PERIOD, VirtualTopics
 from thorvaldc.model import Robot
 from thorvaldc.model.stopping import STOP_LOCK
+from thorvaldc.runtime.motion_supervision import SHORTEST, FollowLimits
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.tools.fault_matrix.fault_cases import DRIVING, MOVING_PHASES, STOPPING
 from thorvaldc.tools.fault_matrix.fault_matrix import reaction_text
@@ -72,7 +73,10 @@ def faults(robot: Robot) -> Iterator[TopicFault]:
     yield TopicFault("no joint states for 0.06 s", lost(0.06), 0.1)
     yield TopicFault("no joint states for 0.2 s", lost(0.2), 0.1 + 2 * PERIOD)
     yield TopicFault("joint states that are not numbers", wrong, 0.1 + 2 * PERIOD)
-    yield TopicFault("frozen joint states", frozen, 0.5 + 2 * PERIOD)
+    limits = FollowLimits()
+    speed = robot.driver.max_linear_velocity / max(w.radius for w in robot.wheels)
+    frozen_for = max(SHORTEST, limits.excess / (limits.share * speed))
+    yield TopicFault("frozen joint states", frozen, frozen_for + 3 * PERIOD)
     yield TopicFault("the simulation is reset", is_reset, 2 * PERIOD)
     yield TopicFault("client hangs", is_silent, timeout + 2 * PERIOD)
     yield TopicFault("a person disarms the robot", is_disarmed, 2 * PERIOD)

@@ -386,18 +386,21 @@ class BaseStateMachine:
             for connection in self.connections:
                 connection.start_readback()
                 connection.watchdog.allow_boot_ups(0)
+        elif state is BaseState.HOMING:
+            for controller in self.controllers:
+                controller.stand()
         elif state is BaseState.READY:
             self.was_ready = True
         if self.changed is not None:
             self.changed(now, state, self.reason)
 
     def _supervise_motion(self, now: float) -> None:
-        """Compares the motion of all motors with the commands of the last cycle."""
+        """Says which motors follow the commands of the last cycle, or stops them all."""
         if not self.stops:
-            self._released = False
-            intent = self.intent
-            powered = intent in (Intent.FOLLOW, Intent.HOME)
-            self.ladder.follow(now, powered, intent is Intent.HOME)
+            intent, self._released = self.intent, False
+            self.ladder.leave()
+            for controller in self.controllers:
+                controller.note_intent(intent)
             return
         ladder = self.ladder
         ladder.stop(now, self._verified)
@@ -438,8 +441,7 @@ class BaseStateMachine:
         if problem:
             self._enter_fault(now, problem)
             return
-        checked = self.state.drives or self.state in (BaseState.STANDBY, BaseState.HOMING)
-        if self.ending or not checked:
+        if not self._is_checked:
             return
         for controller in self.controllers:
             if controller.power_loss and self.state is not BaseState.STANDBY:
@@ -450,10 +452,20 @@ class BaseStateMachine:
             problem = connection.problem(now)
             if not problem and self.state.drives:
                 problem = _not_following(connection.controllers)
-            problem = problem or self.ladder.problem()
             if problem:
                 self._enter_fault(now, problem)
                 return
+
+    @property
+    def _is_checked(self) -> bool:
+        """``True`` in the states in which a problem of a drive is a fault."""
+        checked = self.state.drives or self.state in (BaseState.STANDBY, BaseState.HOMING)
+        return checked and not self.ending
+
+    def disobeyed(self, fault: Fault, now: float) -> None:
+        """Enters the state FAULT because of a motor that does not follow its target."""
+        if self._is_checked:
+            self._enter_fault(now, fault)
 
     def _enter_fault(self, now: float, fault: Fault) -> None:
         drove = self.state.drives

@@ -34,7 +34,7 @@ controller stops the motors 0.5 s after the last motor command with a new sequen
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from thorvaldc.can.canopen import NmtCommand
@@ -46,7 +46,7 @@ from thorvaldc.model.settings import AT_START
 from thorvaldc.model.stopping import REPORT_TIMEOUT
 from thorvaldc.runtime import base_interface
 from thorvaldc.runtime.can_base import base_state_machine, battery_and_io_drivers
-from thorvaldc.runtime.can_base.base_fault import Cause
+from thorvaldc.runtime.can_base.base_fault import Cause, Fault
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.bus_services import (
     BusServices,
@@ -54,7 +54,8 @@ from thorvaldc.runtime.can_base.bus_services import (
     bus_services,
     component_statuses,
 )
-from thorvaldc.runtime.can_base.motor_controller import Axis, Intent
+from thorvaldc.runtime.can_base.motor_controller import Intent
+from thorvaldc.runtime.motion_supervision import Axis, Deviation
 from thorvaldc.runtime.mypyc_marks import mypyc_attr
 from thorvaldc.runtime.service_table import Service
 
@@ -294,6 +295,13 @@ class CanBase(base_interface.BaseHandle):
 
     def fail(self, reason: str) -> None:
         self.state_machine.fail(reason, Cause.GAP)
+
+    def disobeyed(self, deviations: Sequence[Deviation], now: float) -> None:
+        for controller in self.state_machine.controllers:
+            texts = [text for axis, text in deviations if axis in controller.axes]
+            if texts:
+                fault = Fault(Cause.MOTION, ", ".join(texts), controller.node.name)
+                self.state_machine.disobeyed(fault, now)
 
     def note_cycle(self, now: float, *, stale: bool) -> None:
         self._battery_level = self.battery_supervision.update(now)

@@ -8,8 +8,9 @@ from typing import ClassVar, Final
 from thorvaldc.can import canopen
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Bus, Node, Robot
-from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorController
+from thorvaldc.runtime.can_base.motor_controller import Intent, MotorController
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
+from thorvaldc.runtime.motion_supervision import Axis
 from thorvaldc.runtime.mypyc_marks import mypyc_attr
 
 HOMING_SETTLED: Final = 3

@@ -6,31 +6,23 @@ import abc
 import enum
 import math
 from collections.abc import Callable, Iterator, Mapping
-from typing import ClassVar, Final, NamedTuple, TypeVar
+from typing import ClassVar, Final, TypeVar
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics import DiagnosticError
-from thorvaldc.model import Actuator, Bus, Node, ObjectValue, Robot
+from thorvaldc.model import Bus, Node, ObjectValue, Robot
 from thorvaldc.model.bus import MASTER
 from thorvaldc.model.bus_timing import required_objects
 from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
+from thorvaldc.runtime.motion_supervision import STANDING, Axis, FollowLimits
 from thorvaldc.runtime.mypyc_marks import mypyc_attr
 
 T = TypeVar("T")
-STANDING: Final = 0.02
-"""Speed (rad/s) below which a wheel or a steering joint counts as standing."""
 FRESH: Final = 0.2
 """Age (s) up to which a report tells the present motion of a wheel."""
 IN_POSITION: Final = 0.01
 """Largest deviation (rad) of a steering joint that has reached its target angle."""
-
-JUMP: Final = 0.1
-"""Largest difference (rad) of two reported steering angles that the motion cannot explain."""
-JUMP_SPEED: Final = 1.5
-"""Largest speed of a steering joint, as a multiple of the top speed of its motor."""
-JUMP_TIME: Final = 0.04
-"""Shortest time (s) of motion between two reports, because adapters delay single frames."""
 
 
 class Intent(enum.Enum):
@@ -48,93 +40,6 @@ class Intent(enum.Enum):
     HOME = "home"
     FOLLOW = "follow"
     QUICK_STOP = "quick stop"
-
-
-class FollowLimits(NamedTuple):
-    """Limits of the deviation of a motor from its target, see ``MotionSupervision``.
-
-    - ``time``: time (s) for which a motor may deviate from its target, longer than ramps and
-      delays;
-    - ``speed_time``: time (s) for which a wheel speed may match no target of the last ``time``
-      seconds;
-    - ``excess``: travel (rad) by which a wheel may meanwhile exceed, or fall behind, all these
-      targets; a kerb turns a wheel by up to 0.15 rad;
-    - ``share``, ``speed``: largest deviation of a wheel speed: share of the target, or speed
-      (rad/s) if this is more;
-    - ``angle``: largest deviation (rad) of a steering joint that does not turn towards its target.
-    """
-
-    time: float = 0.5
-    speed_time: float = 1.0
-    excess: float = 0.3
-    share: float = 0.5
-    speed: float = 0.3
-    angle: float = 0.2
-
-    def stricter(self, other: FollowLimits) -> FollowLimits:
-        """Returns the smaller one of each two limits."""
-        return FollowLimits(*map(min, self, other))
-
-
-class Axis:
-    """Measured position and velocity and the target of one motor of the base.
-
-    - ``wheel``: index of the wheel in ``Robot.wheels``;
-    - ``channel``: name of the motor controller's channel;
-    - ``steering``: ``True`` for a steering motor, ``False`` for a propulsion motor;
-    - ``time``: time (s) of the newest measurement;
-    - ``position``: joint position in rad, NaN before the first measurement;
-    - ``velocity``: joint velocity in rad/s, NaN before the first measurement;
-    - ``target``: commanded wheel speed (rad/s) or steering angle (rad);
-    - ``homed``: ``True`` if the zero position of the joint is known;
-    - ``jump``: angle (rad) by which the position of a homed steering joint has jumped, faster than
-      the motor can turn; 0 if the position has not jumped;
-    - ``powered``: ``False`` if the motor gets no torque, whatever the base does; see
-      ``CanBase.power_only``.
-    """
-
-    def __init__(self, actuator: Actuator, wheel: int, channel: str) -> None:
-        self.actuator = actuator
-        self.joint = actuator.joint
-        self.wheel = wheel
-        self.channel = channel
-        self.steering = actuator.role == "steering"
-        self.time = -math.inf
-        self.position = math.nan
-        self.velocity = math.nan
-        self.target = 0.0
-        self.homed = not self.steering
-        self.jump = 0.0
-        self.powered = True
-
-    def update(self, time: float, position: float, velocity: float | None = None) -> None:
-        """Stores a measured joint position (rad) and joint velocity (rad/s).
-
-        If ``velocity`` is ``None``, the joint velocity is computed from the last two joint
-        positions.
-        """
-        if self.steering and self.homed and not self.jump:
-            change = abs(position - self.position)
-            motion = JUMP_SPEED * self.actuator.max_velocity * max(time - self.time, JUMP_TIME)
-            if change > motion + JUMP:
-                self.jump = change
-        if velocity is None:
-            dt = time - self.time
-            velocity = (position - self.position) / dt if 0.0 < dt < 1.0 else 0.0
-        self.time, self.position, self.velocity = time, position, velocity
-
-    def hold(self) -> None:
-        """Sets the target angle of a steering motor to the measured angle, and a target speed to 0.
-
-        Before the first report of its position the target angle is 0, and no motor follows it.
-        """
-        known = self.steering and math.isfinite(self.position)
-        self.target = self.position if known else 0.0
-
-    def lose_reference(self) -> None:
-        """Marks a steering motor as not homed after a restart of the motor controller."""
-        self.homed = not self.steering
-        self.target = 0.0
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -168,6 +73,8 @@ class MotorController(abc.ABC):
         self.node = node
         self.codecs = node_codecs(bus, node)
         self.axes = tuple(_axes(robot, node))
+        for axis in self.axes:
+            axis.limits = axis.limits.stricter(self.follow_limits)
         self.handlers: dict[int, Callable[[bytes, float], None]] = {}
         """Handlers by COB-ID; called once in a cycle with data and time (s) of the newest frame."""
         self.error_code = 0
@@ -273,6 +180,13 @@ class MotorController(abc.ABC):
         """Returns the ``Intent`` for this motor controller, from that for all of them."""
         return intent if self.powered else Intent.OFF
 
+    def note_intent(self, intent: Intent) -> None:
+        """Notes which motors follow their targets with this ``Intent`` of the last cycle."""
+        homing = intent is Intent.HOME
+        follows = self.follows if intent is Intent.FOLLOW else homing and not self.is_off
+        for axis in self.axes:
+            axis.follows = follows and axis.powered and not (homing and axis.steering)
+
     @property
     def homed(self) -> bool:
         return all(axis.homed for axis in self.axes if axis.powered)
@@ -325,6 +239,12 @@ class MotorController(abc.ABC):
                 self.discard_home(now)
                 return text
         return ""
+
+    def stand(self) -> None:
+        """Sets the target speeds to 0."""
+        for axis in self.axes:
+            if not axis.steering:
+                axis.target = 0.0
 
     def hold(self) -> None:
         """Sets the target angles to the measured steering angles and the target speeds to 0."""

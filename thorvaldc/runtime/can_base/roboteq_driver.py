@@ -15,7 +15,7 @@ drive profile CiA 402.  PDOs of the Thorvald script and the script variables tha
 
 The Thorvald script on the Roboteq controller does not confirm motor commands.  The Thorvald script
 stops the wheels 0.5 s after the last motor command with a new sequence number.  A motor
-that does not follow its commands is detected by its measured motion (``MotionSupervision``).
+that does not follow its commands is detected by its measured motion (``motion_supervision``).
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from typing import ClassVar, Final
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Bus, Node, ObjectValue, Robot
-from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorController
+from thorvaldc.runtime.can_base.motor_controller import Intent, MotorController
+from thorvaldc.runtime.motion_supervision import Axis
 from thorvaldc.runtime.mypyc_marks import mypyc_attr
 
 # Operating modes of a channel of the Roboteq motor controller.

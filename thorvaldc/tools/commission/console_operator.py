@@ -9,7 +9,7 @@ import threading
 from thorvaldc.cli.diagnostic_output import message
 from thorvaldc.commissioning.commission_report import driven_joints
 from thorvaldc.model import Actuator, Robot
-from thorvaldc.runtime.can_base.motor_controller import Axis
+from thorvaldc.runtime.motion_supervision import Axis
 from thorvaldc.tools.commission.questions import (
     Answer,
     Question,

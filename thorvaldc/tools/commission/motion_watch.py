@@ -1,8 +1,8 @@
 """Compares the reports of all motors with the command of the single motor that is driven.
 
-The supervision of a run (``stop_ladder``) allows deviations that a loaded robot has.  A wheel in
-the air follows its command closely, and a wrong encoder must be found before the wheel is fast: if
-it counts against its motor, no ramp of the drive stops it, but only the loss of torque.
+The supervision of a run (``motion_supervision``) allows deviations that a loaded robot has.  A
+wheel in the air follows its command closely, and a wrong encoder must be found before the wheel is
+fast: if it counts against its motor, no ramp of the drive stops it, but only the loss of torque.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from thorvaldc.runtime.can_base.motor_controller import Axis
+from thorvaldc.runtime.motion_supervision import Axis
 from thorvaldc.tools.commission.motor_session import SingleMotorBase
 
 SPEED = 1.0

@@ -21,7 +21,8 @@ from thorvaldc.model import Actuator, Robot, stopping
 from thorvaldc.model.settings import SAFETY_STOP
 from thorvaldc.runtime.can_base.base_fault import Cause
 from thorvaldc.runtime.can_base.base_state_machine import BaseState, Times
-from thorvaldc.runtime.can_base.motor_controller import FRESH, Axis, MotorController
+from thorvaldc.runtime.can_base.motor_controller import FRESH, MotorController
+from thorvaldc.runtime.motion_supervision import Axis
 from thorvaldc.runtime.pace import gap_text
 from thorvaldc.tools.commission.assembly_findings import has_moved_as_expected
 from thorvaldc.tools.commission.motion_watch import ABORTS, CYCLES, MotionWatch, Travel, test_speed

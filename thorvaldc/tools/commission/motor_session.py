@@ -25,9 +25,9 @@ from thorvaldc.runtime.base_interface import CheckedJointStates, JointCommands, 
 from thorvaldc.runtime.can_base.base_fault import Fault
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
-from thorvaldc.runtime.can_base.motor_controller import STANDING, Axis
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.motion_supervision import STANDING, Axis
 from thorvaldc.runtime.pace import end_signals
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol
 
 from thorvaldc.model import Actuator, Robot
-from thorvaldc.runtime.can_base.motor_controller import Axis
+from thorvaldc.runtime.motion_supervision import Axis
 
 
 class Question(NamedTuple):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from thorvaldc.commissioning.commission_report import Figure
 from thorvaldc.model import Actuator
-from thorvaldc.runtime.can_base.motor_controller import Axis
+from thorvaldc.runtime.motion_supervision import Axis
 from thorvaldc.tools.commission.motion_watch import Travel
 
 WATCHDOG = "drive's watchdog acts"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from thorvaldc.commissioning.commission_report import driven_joints
-from thorvaldc.runtime.can_base.motor_controller import STANDING, Axis
+from thorvaldc.runtime.motion_supervision import STANDING, Axis
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.tools.commission.questions import Answer, Question
 
