@@ -223,6 +223,7 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
 def demand_report(robot: Robot, report: Report) -> None:
     """Demands the report of `can commission` as a run does; KEY in it is that of its motor."""
     from thorvaldc.commissioning import commission_report
+    from thorvaldc.commissioning.scan_result import OK, FoundDevice, ScanEntry
     from thorvaldc.diagnostics import DiagnosticError
 
     path = Path(f"robot{commission_report.SUFFIX}")
@@ -231,8 +232,12 @@ def demand_report(robot: Robot, report: Report) -> None:
         for motor in commission_report.driven_joints(robot):
             text = text.replace("KEY", commission_report.motor_key(robot, motor), 1)
         path.write_text(text, encoding="utf-8")
+    devices = [
+        ScanEntry(n.name, OK, n.id, FoundDevice(n.id)) for bus in robot.buses for n in bus.nodes
+    ]
     try:
-        commission_report.require_commissioned(path, robot)
+        checked = commission_report.read_report(path)
+        commission_report.require_commissioned(path, checked, robot, devices)
     except DiagnosticError as error:
         report.put(error.diagnostic)
 

@@ -136,18 +136,6 @@ def test_a_session_comes_to_rest_after_a_gap_in_time_and_continues(
     assert max(speeds[rest:]) == pytest.approx(0.5)
 
 
-def test_a_robot_without_power_ends_with_a_diagnostic(
-    robot: Robot, simulated: SimulatedRobot, interfaces: dict[str, CanInterface]
-) -> None:
-    for device in simulated.devices.values():
-        device.power_off()
-    session = RunSession(robot, interfaces, threaded=False)
-    diagnostic = session.run()
-    assert diagnostic is not None
-    assert diagnostic.code.name == "bus-start"
-    assert not session.summary()["was_ready"]
-
-
 def test_a_channel_in_use_closes_the_interfaces(
     robot: Robot,
     simulated: SimulatedRobot,
@@ -166,3 +154,44 @@ def test_a_channel_in_use_closes_the_interfaces(
     assert closed == list(others)
     first.request_stop()
     first.run()
+
+
+@pytest.mark.parametrize("late", [0, 1], ids=["all drives", "one drive"])
+def test_a_session_waits_for_drives_that_get_their_power_later(
+    robot: Robot, simulated: SimulatedRobot, interfaces: dict[str, CanInterface], late: int
+) -> None:
+    """The run ended after 5.5 s.  It waits disarmed, and says for whom."""
+    for device in list(simulated.devices.values())[: 1 if late else None]:
+        device.power_off()
+    session = RunSession(robot, interfaces, channel="", threaded=False)
+    session.driven.feed = lambda driver, now: None
+    seen: list[str] = []
+
+    def watch(driven: DrivenRobot, state: DriverState) -> None:
+        assert not driven.armed
+        if session.elapsed > 12.0 and not seen:
+            seen.append(session.status_line())
+            for device in simulated.devices.values():
+                device.power_on()
+        if driven.ready or session.base.state is BaseState.STANDBY:
+            session.request_stop()
+
+    assert session.run(watch) is None
+    assert seen[0].startswith("waits: no heartbeat of" if late else "waits: no controller responds")
+    assert 12.0 < session.elapsed < 20.0
+    assert session.waits_for == ""
+
+
+def test_a_session_with_a_twist_does_not_wait_for_drives(
+    robot: Robot, simulated: SimulatedRobot, interfaces: dict[str, CanInterface]
+) -> None:
+    """Nobody expects the motion when the power comes."""
+    for device in simulated.devices.values():
+        device.power_off()
+    session = RunSession(robot, interfaces, twist=Twist(0.5, 0.0, 0.0), threaded=False)
+    diagnostic = session.run()
+    assert diagnostic is not None
+    assert diagnostic.code.name == "bus-start"
+    assert "no controller responds" in diagnostic.message
+    assert not session.summary()["was_ready"]
+    assert session.elapsed < 7.0

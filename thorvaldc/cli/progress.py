@@ -88,7 +88,7 @@ class StatusView:
         changes = session.base.changes
         if changes:
             self._erase_line()
-            for change in changes:
+            for change in filter(session.is_news, changes):
                 reason = f": {change.reason}" if change.reason else ""
                 elapsed = change.time - session.start_time
                 message(f"{elapsed:8.2f} s  {change.state.value}{reason}")

@@ -91,7 +91,8 @@ def _identity(node: FoundNode) -> str:
         "serial": node.serial,
     }
     known = [f"{name} {number:#x}" for name, number in numbers.items() if number is not None]
-    return ", ".join([node.state, *known])
+    unknown = ["serial number unknown"] if node.serial is None else []
+    return ", ".join([node.state, *known, *unknown])
 
 
 def _picture(robot: Robot, report: CommissionReport) -> str:

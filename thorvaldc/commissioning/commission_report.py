@@ -1,8 +1,9 @@
 """The report of the first motion of a robot, which ``thorvaldc can commission`` writes.
 
 The report is a JSON file beside the robot file, with an HTML page.  docs/commissioning.md describes
-it.  A run can demand it (``thorvaldc run --commissioned``): each motor has passed, and neither the
-motor nor its controller has changed in the robot file since then.
+it.  A run can demand it (``thorvaldc run --commissioned``): each motor has passed, what leads from
+its channel to the ground has not changed in the robot file since then, and the controllers on the
+bus are those that were checked.
 """
 
 from __future__ import annotations
@@ -11,14 +12,16 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from thorvaldc.can.lss import Identity
+from thorvaldc.commissioning.scan_result import OK, ScanEntry, identity_text
 from thorvaldc.diagnostics import DiagnosticError, Span
 from thorvaldc.diagnostics.files import read_bounded, read_json
-from thorvaldc.model import Actuator, Robot
+from thorvaldc.model import Actuator, Node, Robot
 from thorvaldc.model.model_json import ModelFormatError, typed_value
 
 FORMAT, VERSION = "thorvaldc-commission", 1
@@ -103,7 +106,10 @@ class CheckedMotor:
 
 @dataclass(frozen=True, slots=True)
 class FoundNode:
-    """A device on a bus, with the numbers of its identity as far as they are known."""
+    """A device on a bus, with the numbers of its identity as far as they are known.
+
+    - ``state``: verdict of the scan.
+    """
 
     name: str
     state: str
@@ -112,6 +118,22 @@ class FoundNode:
     product: int | None = None
     revision: int | None = None
     serial: int | None = None
+
+    @classmethod
+    def of(cls, entry: ScanEntry) -> FoundNode:
+        node = cls(entry.node, entry.verdict, entry.device_id)
+        if entry.identity is None:
+            return node
+        vendor, product, revision, serial = entry.identity
+        return dataclasses.replace(
+            node, vendor=vendor, product=product, revision=revision, serial=serial or None
+        )
+
+    @property
+    def identity(self) -> Identity | None:
+        if self.vendor is None or self.product is None or self.revision is None:
+            return None
+        return Identity(self.vendor, self.product, self.revision, self.serial or 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,9 +199,17 @@ class CommissionReport:
 def motor_key(robot: Robot, motor: Actuator) -> str:
     """Returns the hash of all that leads from a channel to a wheel on the ground.
 
-    That is motor, controller, joint, and the wheel with its place and radii, but no line of a file.
+    That is motor, controller, the signals of the joint in its frames, joint, and the wheel with its
+    place and radii, but no line of a file.
     """
     nodes = [(bus.name, n) for bus in robot.buses for n in bus.nodes if n.name == motor.node]
+    signals = [
+        (frame.cob_id, dataclasses.replace(signal, description=""))
+        for bus in robot.buses
+        for frame in bus.frames
+        for signal in frame.signals
+        if signal.joint == motor.joint
+    ]
     joint = robot.joint(motor.joint)
     axis = (joint.pose, joint.axis, joint.lower, joint.upper, joint.parent, joint.child)
     wheels = [
@@ -187,7 +217,7 @@ def motor_key(robot: Robot, motor: Actuator) -> str:
         for w in robot.wheels
         if motor.joint in (w.spin_joint, w.steering_joint)
     ]
-    parts = (motor, *nodes, axis, *wheels)
+    parts = (motor, *nodes, *signals, axis, *wheels)
     return hashlib.sha256(repr(_values(parts)).encode()).hexdigest()[:16]
 
 
@@ -209,18 +239,30 @@ def driven_joints(robot: Robot) -> list[Actuator]:
     return [by_joint[name] for name in names if name in by_joint]
 
 
-def passed_motors(robot: Robot, report: CommissionReport) -> dict[str, CheckedMotor]:
-    """Returns the motors of a robot that have passed and have not changed since then, by name."""
-    refused = refusals(robot, report)
+def passed_motors(
+    robot: Robot, report: CommissionReport, devices: Sequence[ScanEntry]
+) -> dict[str, CheckedMotor]:
+    """Returns the motors for which the report counts, by name; see ``refusals``."""
+    refused = refusals(robot, report, devices)
     return {m.name: m for m in report.motors if m.name in refused and not refused[m.name]}
 
 
-def refusals(robot: Robot, report: CommissionReport) -> dict[str, str]:
+def refusals(
+    robot: Robot, report: CommissionReport, devices: Sequence[ScanEntry]
+) -> dict[str, str]:
     """Returns for each motor of a robot why the report does not count for it, or an empty text.
 
-    A later check goes on with the motors that count; a run needs all of them.
+    ``devices``: the devices that answer on the buses of the robot now.  A later check goes on with
+    the motors that count; a run needs all of them.
     """
-    return {motor.name: _refusal(robot, motor, report) for motor in driven_joints(robot)}
+    nodes = {node.name: node for bus in robot.buses for node in bus.nodes}
+    texts = {}
+    for motor in driven_joints(robot):
+        reason = _refusal(robot, motor, report)
+        texts[motor.name] = f"{motor.name} {reason}" if reason else ""
+        if not reason and motor.node in nodes:
+            texts[motor.name] = _device_refusal(nodes[motor.node], report, devices)
+    return texts
 
 
 def _refusal(robot: Robot, motor: Actuator, report: CommissionReport) -> str:
@@ -239,11 +281,37 @@ def _refusal(robot: Robot, motor: Actuator, report: CommissionReport) -> str:
         return f"moved {checked[0].moved or 'nothing'}"
     if not checked[0].figures or not all(figure.passed for figure in checked[0].figures):
         return "has a figure that is missing or out of its bounds"
-    for node in (n for bus in robot.buses for n in bus.nodes if n.name == motor.node):
-        serials = {each.serial for each in report.nodes if each.name == node.name}
-        if node.serial is not None and serials != {int(node.serial, 0)}:
-            return f"was checked with another {node.name}"
     return ""
+
+
+def _device_refusal(node: Node, report: CommissionReport, devices: Sequence[ScanEntry]) -> str:
+    """Returns why the device on the bus is not the one of the report, or an empty text."""
+    checked = [each for each in report.nodes if each.name == node.name]
+    if len(checked) != 1 or checked[0].state != OK:
+        return f"{node.name}: the report does not say which device was checked"
+    present = next((entry for entry in devices if entry.node == node.name), None)
+    if present is None or present.verdict != OK:
+        actual = "is not on the bus" if present is None else f"is {present.verdict}"
+        detail = f": {present.detail}" if present is not None and present.detail else ""
+        return f"{node.name} {actual}{detail}; checked was {identity_text(checked[0].identity)}"
+    if present.identity != checked[0].identity:
+        return (
+            f"{node.name} is not the device that was checked: it was"
+            f" {identity_text(checked[0].identity)}; now it is {identity_text(present.identity)}"
+        )
+    return ""
+
+
+def identity_note(robot: Robot, devices: Sequence[ScanEntry]) -> str:
+    """Says for which motor controllers a replacement cannot be noticed, or returns ""."""
+    known = {
+        entry.node for entry in devices if entry.identity is not None and entry.identity.serial
+    }
+    nodes = dict.fromkeys(motor.node for motor in driven_joints(robot) if motor.node is not None)
+    names = ", ".join(name for name in nodes if name not in known)
+    if not names:
+        return ""
+    return f"no serial number is known of {names}: an equal device in its place is not noticed"
 
 
 def read_report(path: Path) -> CommissionReport:
@@ -270,26 +338,31 @@ def read_report(path: Path) -> CommissionReport:
     return report
 
 
-def require_commissioned(path: Path, robot: Robot) -> None:
-    """Raises ``DiagnosticError`` (``not-commissioned``) unless all motors of the robot have passed,
-    as they are in the robot file now."""
-    reasons = list(_missing(robot, read_report(path)))
+def require_commissioned(
+    path: Path, report: CommissionReport, robot: Robot, devices: Sequence[ScanEntry]
+) -> None:
+    """Raises ``DiagnosticError`` (``not-commissioned``) if ``shortcomings`` are left."""
+    reasons = shortcomings(robot, report, devices)
     if reasons:
-        raise _not_commissioned(f"{path}: {', '.join(reasons)}")
+        raise _not_commissioned(f"{path}: {'; '.join(reasons)}")
 
 
-def _missing(robot: Robot, report: CommissionReport) -> Iterator[str]:
-    reasons = refusals(robot, report)
-    yield from (f"{name} {reason}" for name, reason in reasons.items() if reason)
+def shortcomings(robot: Robot, report: CommissionReport, devices: Sequence[ScanEntry]) -> list[str]:
+    """Returns why a run that demands the report is refused; see ``refusals``."""
+    reasons = [reason for reason in refusals(robot, report, devices).values() if reason]
     if report.interruption:
-        yield f"the checks were interrupted: {report.interruption}"
-    elif report.findings and not any(reasons.values()):
-        yield "it has findings"
+        reasons.append(f"the checks were interrupted: {report.interruption}")
+    elif report.findings and not reasons:
+        reasons.append("it has findings")
+    return list(dict.fromkeys(reasons))
 
 
 def _not_commissioned(reason: str) -> DiagnosticError:
     return DiagnosticError(
-        "not-commissioned", reason, hint="check the first motion: thorvaldc can commission FILE"
+        "not-commissioned",
+        reason,
+        hint="check the first motion: thorvaldc can commission FILE; to find the file of the robot"
+        " on a bus: thorvaldc can identify FOLDER",
     )
 
 

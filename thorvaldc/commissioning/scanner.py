@@ -16,15 +16,23 @@ Sequence of an active scan:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from thorvaldc.can.canopen import HEARTBEAT, SDO_REQUEST, SDO_RESPONSE, DriveState, NmtState
+from thorvaldc.can.frame import CanInterface
 from thorvaldc.can.lss import UNCONFIGURED, Identity
 from thorvaldc.can.sdo import upload_request
 from thorvaldc.commissioning import bus_master, scan_result
-from thorvaldc.commissioning.bus_configuration import BusConfiguration, NodeConfiguration
+from thorvaldc.commissioning.bus_configuration import (
+    BusConfiguration,
+    NodeConfiguration,
+    configuration_of,
+)
 from thorvaldc.commissioning.lss_master import LssError, LssMaster
 from thorvaldc.diagnostics import DiagnosticError
+from thorvaldc.model import Node, Robot
+from thorvaldc.model.bus_identity import SERIAL_NUMBER
 
 PERIODS = 3.2
 """Listening time in periods of the slowest heartbeat.
@@ -377,3 +385,44 @@ class Scanner:
             if state in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE):
                 reasons.append(f"its statusword {index:04x} is {word:#06x}, enabled")
         return reasons
+
+
+def scan_robot(robot: Robot, interfaces: Mapping[str, CanInterface]) -> list[scan_result.ScanEntry]:
+    """Returns the devices on all buses of a robot, without their values.
+
+    - ``interfaces``: CAN interface of each bus, by the name of the bus.
+
+    Raises ``DiagnosticError`` (``bus-other-master``) if another master is on a bus.  A request to a
+    CANopen node can be a command for a drive with another protocol: a bus with such a drive is only
+    listened to.
+    """
+    entries: list[scan_result.ScanEntry] = []
+    for bus in robot.buses:
+        master = bus_master.BusMaster(interfaces[bus.name], bus)
+        scanner = Scanner(master, configuration_of(robot, bus))
+        asks = all(node.is_canopen for node in bus.nodes if node.channels)
+        scan = scanner.active(values=False, texts=False) if asks else scanner.passive()
+        if scan.masters:
+            raise bus_master.other_master_error(list(scan.masters))
+        entries += scan.entries
+    return entries
+
+
+def with_serial_numbers(robot: Robot, devices: Sequence[scan_result.ScanEntry]) -> Robot:
+    """Returns the robot with the serial numbers of its devices.
+
+    The base then compares them at each start-up, also after a device was replaced.
+    """
+    serials = {e.node: e.identity.serial for e in devices if e.identity and e.identity.serial}
+
+    def stated(node: Node) -> Node:
+        objects = tuple(
+            replace(o, value=serials.get(node.name, o.value))
+            if (o.index, o.subindex) == SERIAL_NUMBER
+            else o
+            for o in node.objects
+        )
+        return replace(node, objects=objects)
+
+    buses = tuple(replace(bus, nodes=tuple(map(stated, bus.nodes))) for bus in robot.buses)
+    return replace(robot, buses=buses)

@@ -19,7 +19,8 @@ from thorvaldc.can.frame import CanInterface
 from thorvaldc.diagnostics import CODES, Diagnostic, DiagnosticError
 from thorvaldc.model import Robot, TwistInput
 from thorvaldc.runtime.base_interface import RequestRefused
-from thorvaldc.runtime.can_base.base_state_machine import BaseState
+from thorvaldc.runtime.can_base.base_fault import Cause
+from thorvaldc.runtime.can_base.base_state_machine import BaseState, StateChange
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot, Watch
 from thorvaldc.runtime.driver import BaseDriver
@@ -80,6 +81,8 @@ class RunSession:
         """Reasons why the robot cannot be armed for ``twist``; empty: it is armed, or not ready."""
         self.refused_since = math.nan
         """Time (s) since which the robot cannot be armed."""
+        self.waits_for = ""
+        """Why the start-up begins again and again: drives get their power after the computer."""
         self._was_armed = False
         self._rests = True
         clock = interfaces[robot.buses[0].name]
@@ -175,13 +178,36 @@ class RunSession:
             return True
         if self.refusal and now - self.refused_since > ARM_TIME:
             return True
+        if self._waits():
+            return False
         if base.state in (BaseState.FAULT, BaseState.ESTOP):
             # With a control channel, an operator can reset a fault, so the run continues after the
             # fault.  A fault ends the run if the run has no control channel, if a CAN bus is lost,
             # or if the robot was never ready.
-            unattended = self.twist is not None or self.duration < math.inf
-            return unattended or bool(base.lost) or not base.state_machine.was_started
+            return self._is_unattended or bool(base.lost) or not base.state_machine.was_started
         return now - self.ready_time >= self.duration - 1e-9
+
+    @property
+    def _is_unattended(self) -> bool:
+        return self.twist is not None or self.duration < math.inf
+
+    def _waits(self) -> bool:
+        """Begins the start-up again while controllers send nothing yet; the robot is disarmed.
+
+        A run that drives by itself does not wait: nobody expects the motion when the power comes.
+        """
+        state_machine, fault = self.base.state_machine, self.base.state_machine.fault
+        if self._is_unattended or fault is None or fault.cause is not Cause.ABSENT:
+            if self.base.state not in (BaseState.INIT, BaseState.PREOP):
+                self.waits_for = ""
+            return False
+        self.waits_for = fault.text
+        return not state_machine.reset(self.driven.now, False)
+
+    def is_news(self, change: StateChange) -> bool:
+        """Checks whether a change of the state is not one of a start-up that begins again."""
+        again = change.state is BaseState.PREOP or change.reason == self.waits_for
+        return not (self.waits_for and again)
 
     def _verdict(self) -> Diagnostic | None:
         state_machine = self.base.state_machine
@@ -209,7 +235,7 @@ class RunSession:
         driven, base = self.driven, self.base
         state = driven.driver.state
         twist, pose = state.odometry.twist, state.pose
-        parts = [base.state.value]
+        parts = [f"waits: {self.waits_for}" if self.waits_for else base.state.value]
         waits = base.state is BaseState.STANDBY and not base.state_machine.ending
         if waits or (driven.ready and not driven.armed):
             # The operator needs to know how to go on, and the robot stands where it was.

@@ -470,7 +470,7 @@ def test_another_product_is_refused_before_any_write() -> None:
     drive.power_off()
     drive.power_on()
     rig.until(lambda: rig.state is BaseState.FAULT)
-    assert "fl_controller: product_code (0x1018:2) is 403, but the robot file has 402" in rig.reason
+    assert "fl_controller: product_code (0x1018:2) is 403, but must be 402" in rig.reason
     rig.run(1.0)
     assert writes(rig) == []
 

@@ -52,8 +52,8 @@ def test_objects_are_read_one_after_another() -> None:
 @pytest.mark.parametrize(
     ("entry", "value", "problem"),
     [
-        (FIRST, 101, "object 1017 (0x1017:0) is 101, but the robot file has 100"),
-        (SECOND, 5, "object 607d (0x607d:1) is 5, but the robot file has -5"),
+        (FIRST, 101, "object 1017 (0x1017:0) is 101, but must be 100"),
+        (SECOND, 5, "object 607d (0x607d:1) is 5, but must be -5"),
     ],
 )
 def test_another_value_is_a_problem(entry: ObjectValue, value: int, problem: str) -> None:

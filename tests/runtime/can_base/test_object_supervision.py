@@ -64,7 +64,7 @@ def test_a_change_that_nothing_else_shows(node: str, index: int, subindex: int, 
     rig.until(lambda: rig.state is BaseState.FAULT, limit(robot))
     assert rig.reason == (
         f"{node}: {expected.name} ({index:#06x}:{subindex}) is {value}, "
-        f"but the robot file has {expected.value}"
+        f"but must be {expected.value}"
     )
 
 

@@ -82,6 +82,17 @@ def test_a_right_robot_passes(kind: str) -> None:
         assert names >= {"homing", "deviation at the upper limit", "deviation at the lower limit"}
 
 
+SLOW_DRIVERS = ["rate: 5 Hz, command_timeout: 2 s", "max_linear_acceleration: 0.02"]
+
+
+@pytest.mark.parametrize("driver", mostly_slow(SLOW_DRIVERS, quick=1, slow=1))
+def test_a_slow_robot_passes(driver: str) -> None:
+    """Slow control cycles, or a ramp of half a minute."""
+    text = (ROOT / "examples/lss/robot.yaml").read_text(encoding="utf-8")
+    assembly = Assembly(compiled(f"{text}driver: {{{driver}}}\n"))
+    assert not problems(assembly, run_checks(assembly))
+
+
 # Two hundred assemblies: most on small robots, which take some seconds each.  The quick ones have
 # each error once; with the slow ones, each robot has each error.
 SEEDS = [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -17,6 +18,7 @@ from thorvaldc.cli.exits import INPUT, OutsideError
 if TYPE_CHECKING:
     from thorvaldc.can.frame import CanInterface
     from thorvaldc.cli.robot_file import LoadedRobot
+    from thorvaldc.commissioning.commission_report import CommissionReport
     from thorvaldc.diagnostics import Report
     from thorvaldc.model import Robot
     from thorvaldc.runtime.run_session import RunSession
@@ -26,7 +28,8 @@ Commissioned = Annotated[
     bool,
     typer.Option(
         "--commissioned",
-        help="Refuse a robot whose report of `can commission` is missing, old or not passed.",
+        help="Refuse a robot whose report of `can commission` is missing, old, not passed, or of"
+        " other controllers.",
     ),
 ]
 
@@ -75,8 +78,7 @@ def run(
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.can.open_interface import lock_buses, open_interfaces
-    from thorvaldc.cli.robot_file import is_hardware, load_robot, path_beside, warn_once
-    from thorvaldc.commissioning.commission_report import SUFFIX, require_commissioned
+    from thorvaldc.cli.robot_file import is_hardware, load_robot, warn_once
     from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.runtime.run_session import RunSession
     from thorvaldc.runtime.se2 import parse_twist
@@ -97,8 +99,7 @@ def run(
     with contextlib.ExitStack() as locks:
         report = Report()
         try:
-            if commissioned:
-                require_commissioned(path_beside(file, loaded.robot, SUFFIX), loaded.robot)
+            checked = _read_report(file, loaded.robot) if commissioned else None
             if not virtual:
                 lock_buses(bus, loaded.robot, locks)
             interfaces = (
@@ -109,7 +110,7 @@ def run(
                 else open_interfaces(bus, loaded.robot)
             )
             session = RunSession(
-                loaded.robot,
+                _identified(loaded.robot, checked, interfaces),
                 interfaces,
                 parameters=parameters or None,
                 twist=commanded_twist,
@@ -131,6 +132,42 @@ def run(
             warn_once()
         loaded.show(report)
         return _drive(session, loaded, json)
+
+
+def _read_report(file: str, robot: Robot) -> tuple[Path, CommissionReport]:
+    from thorvaldc.cli.robot_file import path_beside
+    from thorvaldc.commissioning.commission_report import SUFFIX, read_report
+
+    path = path_beside(file, robot, SUFFIX)
+    return path, read_report(path)
+
+
+def _identified(
+    robot: Robot,
+    checked: tuple[Path, CommissionReport] | None,
+    interfaces: Mapping[str, CanInterface],
+) -> Robot:
+    """Compares a report with the robot and with the devices on its buses, before anything can move.
+
+    Returns the robot with the serial numbers of the devices, or as it is if no report is demanded.
+    """
+    from thorvaldc.cli.diagnostic_output import message
+    from thorvaldc.commissioning.commission_report import identity_note, require_commissioned
+    from thorvaldc.commissioning.scanner import scan_robot, with_serial_numbers
+    from thorvaldc.diagnostics import DiagnosticError
+
+    if checked is None:
+        return robot
+    try:
+        devices = scan_robot(robot, interfaces)
+        require_commissioned(*checked, robot, devices)
+    except DiagnosticError:
+        for interface in interfaces.values():
+            interface.close()
+        raise
+    if note := identity_note(robot, devices):
+        message(f"note: {note}")
+    return with_serial_numbers(robot, devices)
 
 
 def _refuse_simulation(faults: str, seed: str, physics: str, fast: bool) -> None:

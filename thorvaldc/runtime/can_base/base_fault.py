@@ -9,7 +9,8 @@ from typing import NamedTuple
 class Cause(enum.Enum):
     """Kind of the cause of a fault or stop.
 
-    - ``STOP``: safety stop; ``START``: start-up checks; ``GAP``: control cycle too late or missing;
+    - ``STOP``: safety stop; ``START``: start-up checks; ``ABSENT``: a controller is silent then;
+    - ``GAP``: control cycle too late or missing;
     - ``MASTER``: another master is on the bus; ``BUS``: a bus or its interface fails;
     - ``POWER``: a power stage has no voltage, such as after the emergency stop button was pressed;
     - ``DRIVE``: a drive reports an error; ``SILENCE``: it stops sending or leaves OPERATIONAL;
@@ -20,6 +21,7 @@ class Cause(enum.Enum):
 
     STOP = "stop"
     START = "start"
+    ABSENT = "absent"
     GAP = "gap"
     MASTER = "master"
     BUS = "bus"

@@ -506,13 +506,13 @@ class BaseStateMachine:
         elif self._longer_than(self.times.gather, now):
             names = ", ".join(c.node.name for _, c in missing)
             silent = all(connection.watchdog.is_silent(c) for connection, c in missing)
+            cause, reason = Cause.START, f"not pre-operational in time: {names}"
+            if silent:
+                cause = Cause.ABSENT
+                reason = f"no heartbeat of {names}; is it connected, is its node id right?"
             if silent and len(missing) == len(self.controllers):
                 reason = "no controller responds; is the robot switched on, is the bitrate right?"
-            elif silent:
-                reason = f"no heartbeat of {names}; is it connected, is its node id right?"
-            else:
-                reason = f"not pre-operational in time: {names}"
-            self._enter(BaseState.FAULT, now, Fault(Cause.START, reason))
+            self._enter(BaseState.FAULT, now, Fault(cause, reason))
 
     def _step_config(self, now: float) -> None:
         """Compares the objects and identities of the motor controllers with the robot file, and
@@ -587,8 +587,8 @@ class BaseStateMachine:
         elif enabled and not self._longer_than(self.times.home, now):
             self._enabling_since = now
         elif now - self._enabling_since > self.times.enable:
-            names = ", ".join(c.node.name for c in powered if not c.follows)
-            reason = f"motors not enabled in time: {names}" if names else "the wheels do not stop"
+            off = ", ".join(c.node.name for c in powered if not c.follows)
+            reason = f"motors not enabled in time: {off}" if off else "the wheels do not stop"
             self._enter(BaseState.FAULT, now, Fault(Cause.MOTION, reason))
 
 

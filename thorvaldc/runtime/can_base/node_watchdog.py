@@ -364,7 +364,7 @@ class ObjectReadback:
         if (expected.index, expected.subindex) == SERIAL_NUMBER:
             self.serial = value
         if value != expected.value:
-            self.problem = f"{_label(expected)} is {value}, but the robot file has {expected.value}"
+            self.problem = f"{_label(expected)} is {value}, but must be {expected.value}"
             return
         self._remaining.pop()
         self._requested_at, self._tries, self._next_is_segment = None, 0, False

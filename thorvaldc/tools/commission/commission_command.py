@@ -19,7 +19,7 @@ from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 if TYPE_CHECKING:
     from thorvaldc.can.frame import CanInterface
     from thorvaldc.cli.robot_file import LoadedRobot
-    from thorvaldc.commissioning.commission_report import CommissionReport
+    from thorvaldc.commissioning.commission_report import CheckedMotor, CommissionReport
     from thorvaldc.commissioning.scan_result import ScanEntry
     from thorvaldc.model import Robot
     from thorvaldc.tools.commission.questions import Operator
@@ -105,39 +105,52 @@ class _ReportFile:
 
     - ``kept``: motors of an earlier report that are not checked again;
     - ``results``: new results by the name of the motor;
-    - ``entries``: the devices on the buses.
+    - ``devices``: the devices on the buses.
     """
 
     def __init__(self, path: Path, robot: Robot, operator: str, again: bool) -> None:
-        """Reads the earlier report, and writes the new one once, before anything moves."""
-        from thorvaldc.commissioning.commission_report import passed_motors, read_report
+        """Reads the earlier report, before a bus is opened."""
+        from thorvaldc.commissioning.commission_report import read_report
 
         self.path, self.robot, self._operator = path, robot, operator
-        self.kept = passed_motors(robot, read_report(path)) if path.exists() and not again else {}
+        self._earlier = read_report(path) if path.exists() and not again else None
+        self.kept: Mapping[str, CheckedMotor] = {}
         self.results: dict[str, MotorResult] = {}
-        self.entries: list[ScanEntry] = []
-        self.report = self.write()
+        self.devices: Sequence[ScanEntry] = ()
+
+    def begin(self, devices: Sequence[ScanEntry]) -> None:
+        """Keeps the motors that have passed with these devices; writes before anything moves."""
+        from thorvaldc.commissioning.commission_report import passed_motors
+
+        self.devices = devices
+        if self._earlier is not None:
+            self.kept = passed_motors(self.robot, self._earlier, devices)
+        self.write()
 
     def write(self, interruption: str = UNFINISHED) -> CommissionReport:
         from thorvaldc.commissioning.commission_page import write_report
+
+        report = self.content(interruption)
+        try:
+            write_report(self.path, self.robot, report)
+        except OSError as error:
+            reason = error.strerror or error
+            raise OutsideError(f"cannot write {self.path}: {reason}") from None
+        return report
+
+    def content(self, interruption: str) -> CommissionReport:
         from thorvaldc.tools.commission.report_content import report_of
 
         now = datetime.datetime.now(datetime.UTC)
-        self.report = report_of(
+        return report_of(
             self.robot,
             self.results,
             self.kept,
-            self.entries,
+            self.devices,
             operator=self._operator,
             date=now.isoformat(timespec="seconds"),
             interruption=interruption,
         )
-        try:
-            write_report(self.path, self.robot, self.report)
-        except OSError as error:
-            reason = error.strerror or error
-            raise OutsideError(f"cannot write {self.path}: {reason}") from None
-        return self.report
 
 
 def _commission(
@@ -150,27 +163,36 @@ def _commission(
 ) -> int:
     """Checks all motors, prints the report and returns the exit status."""
     from thorvaldc.cli.diagnostic_output import message, print_json, table_width
+    from thorvaldc.commissioning.commission_report import identity_note, shortcomings
+    from thorvaldc.commissioning.scanner import scan_robot
     from thorvaldc.tools.commission.report_content import calibration_text, summary
 
     interfaces, operator = _open(loaded, bus, store, locks)
-    file.entries = _devices(file.robot, interfaces)
-    interruption = _differences(file.entries)
-    if interruption:
+    devices = scan_robot(file.robot, interfaces)
+    if differences := _differences(devices):
         for interface in interfaces.values():
             interface.close()
-        message("nothing was moved: `thorvaldc can plan` shows how to set up the devices")
+        message(
+            "nothing was moved, and no report was written: `thorvaldc can plan` shows how to set up"
+            " the devices"
+        )
+        file.devices, report = devices, file.content(differences)
     else:
-        interruption = _check_motors(file, interfaces, operator, threaded=bus != "virtual")
-    report = file.write(interruption)
+        file.begin(devices)
+        if note := identity_note(file.robot, devices):
+            message(f"note: {note}")
+        report = file.write(_check_motors(file, interfaces, operator, threaded=bus != "virtual"))
+    passed = not shortcomings(file.robot, report, devices)
     if as_json:
         print_json(report.as_json())
     else:
         print(summary(report, table_width()))
-        print(f"{report.robot}: {'passed' if report.passed else 'not passed'}, see {file.path}")
+        where = "" if differences else f", see {file.path}"
+        print(f"{report.robot}: {'passed' if passed else 'not passed'}{where}")
     text = calibration_text(file.robot, file.results)
     if text:
         _offer_calibration(file.path, text, asks=bus != "virtual")
-    return DONE if report.passed else INPUT
+    return DONE if passed else INPUT
 
 
 def _check_motors(
@@ -178,13 +200,15 @@ def _check_motors(
 ) -> str:
     """Checks the motors; returns the reason why the checks ended before their end, or nothing."""
     from thorvaldc.cli.diagnostic_output import message
+    from thorvaldc.commissioning.scanner import with_serial_numbers
     from thorvaldc.tools.commission.motor_checks import MotorChecks
     from thorvaldc.tools.commission.motor_session import MotorSession
 
     message(SAFETY)
     if file.kept:
         message(f"passed before, not repeated: {', '.join(file.kept)} (--again repeats them)")
-    session = MotorSession(file.robot, interfaces, threaded=threaded)
+    robot = with_serial_numbers(file.robot, file.devices)
+    session = MotorSession(robot, interfaces, threaded=threaded)
     checks = MotorChecks(session, operator, file.results, file.kept, file.write)
     if session.run(checks.run(), stop=lambda: operator.closed):
         return checks.interruption
@@ -233,25 +257,6 @@ def _open(
         each.name: simulated.interface(each.name, fifo=True, receive_limit=100_000)
         for each in robot.buses
     }, SimulatedOperator(simulated)
-
-
-def _devices(robot: Robot, interfaces: Mapping[str, CanInterface]) -> list[ScanEntry]:
-    """Returns the devices on all buses.  The base compares their values with the file later."""
-    from thorvaldc.commissioning.bus_configuration import configuration_of
-    from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
-    from thorvaldc.commissioning.scanner import Scanner
-
-    entries: list[ScanEntry] = []
-    for bus in robot.buses:
-        master = BusMaster(interfaces[bus.name], bus)
-        scanner = Scanner(master, configuration_of(robot, bus))
-        # A request to a CANopen node can be a command for a drive with another protocol.
-        asks = all(node.is_canopen for node in bus.nodes if node.channels)
-        scan = scanner.active(values=False, texts=False) if asks else scanner.passive()
-        if scan.masters:
-            raise other_master_error(list(scan.masters))
-        entries += scan.entries
-    return entries
 
 
 def _offer_calibration(path: Path, text: str, *, asks: bool) -> None:

@@ -59,6 +59,9 @@ class ConsoleOperator:
     def look(self) -> None:
         message("Look now: does the wheel stand?")
 
+    def alarm(self, text: str) -> None:
+        message(f"\n{text}")
+
     def ask(self, question: Question) -> None:
         while not self._lines.empty():  # a line from before the question is no answer to it
             self._lines.get_nowait()

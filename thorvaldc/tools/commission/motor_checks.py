@@ -48,7 +48,7 @@ STEERING_TRAVEL = math.radians(30.0)
 LIMIT_MARGIN = math.radians(3.0)
 """Distance (rad) from the limits of a steering joint up to which it is turned."""
 STEADY = 0.3
-"""Time (s) at the test speed before a stop."""
+"""Time (s) at the test speed before a stop, and at least ``REPORT_CYCLES`` control cycles."""
 REST_SHARE = 0.05
 """Share of the test speed below which a motor is at rest."""
 SLOWER = 0.8
@@ -109,6 +109,7 @@ class MotorChecks:
             yield from self._run()
         except Interrupted as interruption:
             self.interruption = str(interruption)
+            self.operator.alarm(self.interruption)
 
     def _run(self) -> Steps[None]:
         yield from self.session.wait_until_ready()
@@ -370,9 +371,13 @@ class MotorChecks:
         """Begins a motion, and returns at the test speed, or before it if a fault is expected."""
         watch = yield from self._begin(axis, test_speed(axis))
         since = math.nan
-        begun = self.session.now
-        while not self.session.now - since >= STEADY:
-            if not self._goes_on(watch) or self.session.now - begun > START_LIMIT:
+        settings, twist = self.session.driven.driver.settings, self.session.twist
+        linear = twist.speed / settings.max_linear_acceleration
+        ramp = max(linear, abs(twist.wz) / settings.max_angular_acceleration)
+        until = self.session.now + START_LIMIT + ramp
+        steady = max(STEADY, REPORT_CYCLES * self.session.driven.period)
+        while not self.session.now - since >= steady:
+            if not self._goes_on(watch) or self.session.now > until:
                 break
             if self.session.base.share >= 0.99 and math.isnan(since):
                 since = self.session.now
@@ -386,6 +391,7 @@ class MotorChecks:
         session, driven = self.session, self.session.driven
         watch = yield from self._run_steadily(axis)
         if watch.cause:
+            result.leave_unmeasured(kind, ABORTS[watch.cause])
             yield from session.release()
             return
         times = stopping.reaction_times(self.robot, driven.driver.settings)
@@ -417,6 +423,7 @@ class MotorChecks:
         promise = stopping.watchdog_time(node) or 0.0
         watch = yield from self._run_steadily(axis)
         if watch.cause:
+            result.leave_unmeasured("watchdog", ABORTS[watch.cause])
             yield from session.release()
             return
         bound = promise + self._delay(axis)
@@ -532,7 +539,9 @@ class MotorChecks:
             return
         yield from self.session.release()
         text = "Try to turn the wheel by hand: does its brake hold it?"
+        self.session.by_hand = axis
         holds = yield from self._ask("yes", text, axis)
+        self.session.by_hand = None
         result.add("brake holds", float(bool(holds)), YES, 1.0, 1.0)
 
     def _controller(self, axis: Axis) -> MotorController:
@@ -549,7 +558,7 @@ SAFETY_TEXT, LOCK_TEXT, ALONE_TEXT = (
     for how in ("by the safety stop", "by a stop lock", "by itself, as if this program had ended")
 )
 START_LIMIT = 5.0
-"""Longest time (s) until a motor has reached its test speed."""
+"""Longest time (s) until a motor has reached its test speed, after the ramp of the driver."""
 
 
 # -- the stated motion -----------------------------------------------------------------------------

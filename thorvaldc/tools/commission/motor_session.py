@@ -18,6 +18,7 @@ import math
 from collections.abc import Callable, Generator, Mapping
 from typing import TypeVar
 
+from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.can.frame import CanInterface
 from thorvaldc.model import Robot, TwistInput
 from thorvaldc.model.settings import REQUIRED
@@ -25,11 +26,14 @@ from thorvaldc.runtime.base_interface import CheckedJointStates, JointCommands, 
 from thorvaldc.runtime.can_base.base_fault import Fault
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
+from thorvaldc.runtime.can_base.motor_controller import MotorController
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.motion_supervision import STANDING, Axis
 from thorvaldc.runtime.pace import end_signals
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.tools.commission.questions import joint_text
+from thorvaldc.tools.commission.uncommanded_motion import UncommandedMotion
 
 T = TypeVar("T")
 Steps = Generator[None, None, T]
@@ -41,6 +45,8 @@ TWIST_SHARE = 0.3
 """Twist of a session as a share of the limits of the robot; more makes the ramps longer."""
 START_TIME = 20.0
 """Longest time (s) until the base is ready, or until the robot can be armed."""
+OFF_TIME = 3.0
+"""Longest time (s) until the motor controllers report that motors at rest have no torque."""
 RESET_DELAY = 0.5
 """Time (s) after a fault until it is reset, in which the motors come to rest."""
 
@@ -85,6 +91,12 @@ class SingleMotorBase(CanBase):
     def end_motion(self) -> None:
         self._driven = None
 
+    def commands(self, axis: Axis) -> bool:
+        """Checks whether a motor may turn: it is driven, or it has torque to turn a steering."""
+        if not self.state.drives or not axis.powered:
+            return axis.powered and self.is_homing
+        return axis.steering or (axis is self._driven and self.speed != 0.0)
+
     @property
     def speed(self) -> float:
         """Commanded speed (rad/s) of the joint."""
@@ -121,7 +133,10 @@ class SingleMotorBase(CanBase):
 class MotorSession:
     """Powers and drives one motor at a time; see the module.
 
-    - ``base``, ``driven``: the base, and the robot that is driven.
+    - ``base``, ``driven``: the base, and the robot that is driven;
+    - ``by_hand``: motor whose wheel the operator turns by hand, or ``None``.
+
+    If a motor turns that is not commanded, the script ends at once with ``Interrupted``.
     """
 
     def __init__(
@@ -147,6 +162,8 @@ class MotorSession:
         self.twist = next((t for t in choices if driver.limited(t) != ZERO_TWIST), choices[0])
         self.commands_motion = False
         """``True`` while the session commands its twist; otherwise it is silent."""
+        self.by_hand: Axis | None = None
+        self._motions = [UncommandedMotion(a, self.driven.period) for a in self.base.axes]
         self._script: Steps[None] | None = None
         self.driven.feed = self._feed
         self.base.power_only((), clock.now)
@@ -164,7 +181,7 @@ class MotorSession:
         with end_signals() as signalled:
             try:
                 self.driven.run(stop=lambda: self._script is None or signalled() or stop())
-                self.commands_motion = False
+                self.commands_motion = self.base.starves_drives = False
                 self.driven.shutdown()
             except BaseException:
                 # Without frames, the drives stop by their own time-outs.
@@ -192,7 +209,7 @@ class MotorSession:
             if self.fault:
                 raise Interrupted(self.fault)
             if self.now - since > START_TIME:
-                raise Interrupted(self._obstacle())
+                raise Interrupted(self._delay_text)
             yield
 
     def begin_power(self, axis: Axis) -> Steps[None]:
@@ -224,7 +241,8 @@ class MotorSession:
     def release(self) -> Steps[None]:
         """Takes the torque of all motors, and resets a fault as an operator does."""
         self.take_torque()
-        since, refusal = self.now, ""
+        since = stands_since = self.now
+        refusal = ""
         while True:
             yield
             if self.fault:
@@ -237,22 +255,22 @@ class MotorSession:
                 self.base.power_only((), self.now)
             elif self.base.state is BaseState.READY and self._stands and self._is_off:
                 break
+            if self.base.state is not BaseState.READY or not self._stands:
+                stands_since = self.now
+            if self.now - stands_since > OFF_TIME:
+                names = ", ".join(c.node.name for c in self._controllers if not c.is_off)
+                raise Interrupted(f"cut the power: {names} reports torque, which nobody commands")
             if self.now - since > START_TIME:
-                raise Interrupted(self._obstacle(refusal or self.fault))
+                raise Interrupted(refusal or self.fault or self._delay_text)
         self.base.end_motion()
 
-    def _obstacle(self, reason: str = "") -> str:
-        """Returns why the checks cannot go on: motors that turn, or the state of the base."""
-        turning = [
-            f"wheel {self.driven.robot.wheels[axis.wheel].name} ({controller.node.name}"
-            f" {axis.channel}) reports {axis.velocity:.2f} rad/s, although it is commanded to stand"
-            for controller in self.base.state_machine.controllers
-            for axis in controller.axes
-            if abs(axis.velocity) > STANDING
-        ]
-        if turning:
-            return f"cut the power: {'; '.join(turning)}"
-        return reason or f"the base is {self.base.state.value} for {START_TIME:.0f} s"
+    @property
+    def _controllers(self) -> list[MotorController]:
+        return self.base.state_machine.controllers
+
+    @property
+    def _delay_text(self) -> str:
+        return f"the base is {self.base.state.value} for {START_TIME:.0f} s"
 
     @property
     def _stands(self) -> bool:
@@ -262,7 +280,7 @@ class MotorSession:
     @property
     def _is_off(self) -> bool:
         """``True`` if no motor has torque, as far as the motor controllers report it."""
-        return all(controller.is_off for controller in self.base.state_machine.controllers)
+        return all(controller.is_off for controller in self._controllers)
 
     # -- the control loop --------------------------------------------------------------------------
 
@@ -273,6 +291,7 @@ class MotorSession:
         if self._script is not None:
             try:
                 next(self._script)
+                self._check_other_motion(self._script, now)
             except StopIteration:
                 self._script = None
         if self.commands_motion:
@@ -280,6 +299,38 @@ class MotorSession:
             multiplexer = self.driven.multiplexer
             awaited = SOURCE in multiplexer.awaited_zeros(now)
             multiplexer.publish(SOURCE, ZERO_TWIST if awaited else self.twist, now)
+
+    def _check_other_motion(self, script: Steps[None], now: float) -> None:
+        """Ends the script if a motor turns that is not commanded; the shutdown then stops it.
+
+        The ladder of the base does not stop a drive that reports no torque, because a robot on the
+        ground may be pushed.  Here, the wheels are in the air: such a drive is started anew, after
+        which it has no torque.
+        """
+        turning = [
+            motion.axis
+            for motion in self._motions
+            if motion.update(now, self.base.commands(motion.axis) or motion.axis is self.by_hand)
+        ]
+        if not turning:
+            return
+        self.take_torque()
+        texts = []
+        for connection in self.base.connections:
+            for controller in connection.controllers:
+                axes = [axis for axis in controller.axes if axis in turning]
+                texts += [self._motion_text(controller, axis) for axis in axes]
+                climbs = self.base.state_machine.may_command and not controller.is_off
+                if axes and not climbs:
+                    connection.queue_nmt(NmtCommand.RESET_NODE, [controller])
+        script.throw(Interrupted(f"cut the power: {'; '.join(texts)}"))
+
+    def _motion_text(self, controller: MotorController, axis: Axis) -> str:
+        joint = joint_text(self.driven.robot, axis.actuator)
+        return (
+            f"{joint} ({controller.node.name} {axis.channel}) reports {axis.velocity:.2f} rad/s,"
+            " which nobody commands"
+        )
 
 
 _STOPPED = (BaseState.FAULT, BaseState.ESTOP)

@@ -49,6 +49,9 @@ class Operator(Protocol):
     def look(self) -> None:
         """Is called when a wheel must stand; the next question asks for it."""
 
+    def alarm(self, text: str) -> None:
+        """Is called when the checks end early, while the program still stops the robot."""
+
     def ask(self, question: Question) -> None:
         """Asks a question, after the answer to the one before."""
 

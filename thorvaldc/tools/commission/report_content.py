@@ -62,7 +62,7 @@ def report_of(
         date,
         operator,
         interruption,
-        tuple(map(_node, entries)),
+        tuple(map(FoundNode.of, entries)),
         all_findings,
         tuple(kept.get(m.name) or checked(m) for m in commission_report.driven_joints(robot)),
     )
@@ -76,11 +76,6 @@ def _state(result: MotorResult, is_blamed: bool) -> str:
 
 def _known(value: float) -> float | None:
     return None if math.isnan(value) else value
-
-
-def _node(entry: ScanEntry) -> FoundNode:
-    identity = () if entry.identity is None else entry.identity
-    return FoundNode(entry.node, entry.verdict, entry.device_id, *identity)
 
 
 def summary(report: CommissionReport, width: int | None) -> str:

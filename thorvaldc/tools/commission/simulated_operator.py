@@ -38,6 +38,9 @@ class SimulatedOperator:
         now, motors = self._simulated.timeline.seconds, self._simulated.motors
         self._stood = all(abs(motors[j.name].read(now).velocity) < STANDING for j in self._joints)
 
+    def alarm(self, text: str) -> None:
+        """Does nothing: the report has the reason."""
+
     def ask(self, question: Question) -> None:
         now = self._positions()
         travels = {name: now[name] - before for name, before in self._before.items()}
