@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,6 @@ from typing import Any
 import pytest
 
 from tests.cli.conftest import Command, run_in_this_process
-from tests.examples import FOLDER
 from thorvaldc.commissioning import commission_page
 from thorvaldc.commissioning.commission_report import (
     CommissionReport,
@@ -109,29 +107,6 @@ def test_a_run_demands_a_report_of_the_same_model(thorvaldc: Command, folder: Pa
     assert other.status == 1
     assert "left_drive_propulsion has changed since" in other.err
     assert "right_drive_propulsion" not in other.err
-
-
-@pytest.mark.parametrize("exchanged", [False, True])
-def test_the_serial_numbers_of_the_labels_decide_which_wheel_turns(
-    exchanged: bool, thorvaldc: Command, folder: Path
-) -> None:
-    """New drives, whose serial numbers a person writes into the file, right and exchanged."""
-    file = folder / "robot.yaml"
-    text = re.sub(r', serial: "\w+"', "", (FOLDER / "lss/robot.yaml").read_text(encoding="utf-8"))
-    file.write_text(text, encoding="utf-8")
-    store = ("robot.yaml", "--store", "memory.json", "--bus")
-    assert thorvaldc("can", "scan", *store, "virtual:delivered", "--active").status == 1
-    labels = json.loads((folder / "memory.json").read_text(encoding="utf-8"))
-    serials = [labels[f"{side}_controller"]["serial"] for side in ("left", "right")]
-    for number, serial in enumerate(reversed(serials) if exchanged else serials, 1):
-        text = text.replace(f"can: {{id: {number}}}", f'can: {{id: {number}, serial: "{serial}"}}')
-    file.write_text(text, encoding="utf-8")
-    assert thorvaldc("can", "flash", *store, "virtual:delivered", "--apply", "--yes").status == 0
-    assert thorvaldc("can", "scan", *store, "virtual", "--active").status == 0, "they cannot know"
-    checked = thorvaldc("can", "commission", *store, "virtual")
-    assert checked.status == int(exchanged)
-    finding = "left_drive_propulsion and right_drive_propulsion are exchanged"
-    assert (finding in checked.out) is exchanged
 
 
 def test_motors_that_have_passed_are_not_repeated(
