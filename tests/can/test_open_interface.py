@@ -17,6 +17,7 @@ from tests.can.interfaces import HEARTBEAT, bus, open_python_can, refusal
 from tests.robots import SPAN
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.local_socket import socket_path
 from thorvaldc.can.open_interface import bus_lock, open_interface, open_interfaces
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
 from thorvaldc.diagnostics import DiagnosticError
@@ -104,6 +105,14 @@ def test_a_simulated_bus_that_does_not_run(bus: Bus) -> None:
     assert "thorvaldc bus FILE --channel nobody" in hint
     _, hint = refusal(f"sim:nobody.{bus.name}", bus)  # one of several buses
     assert hint.endswith("--channel nobody")
+
+
+def test_one_bus_of_a_simulated_robot_with_several_buses_has_another_name(
+    bus: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    socket_path(f"rover.{bus.name}").touch()
+    assert refusal("sim:rover", bus)[1].endswith(f"is sim:rover.{bus.name}")
 
 
 def test_a_simulated_bus_that_does_not_answer(

@@ -30,21 +30,28 @@ def running(
     folder: Path, *arguments: str
 ) -> Iterator[tuple[subprocess.Popen[str], dict[str, object]]]:
     """Runs the command in a process; yields it with the description of its bus."""
+    with started(folder, *arguments, "--json") as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        line = process.stdout.readline()
+        assert line, process.stderr.read()
+        yield process, json.loads(line)[0]
+
+
+@contextmanager
+def started(folder: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Runs the command in a process."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_RUNTIME_DIR": str(folder)}
     process = ChildProcess(
-        [sys.executable, "-m", "thorvaldc", "bus", *arguments, "--json"],
+        [sys.executable, "-m", "thorvaldc", "bus", *arguments],
         cwd=folder,
         env=environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
-    assert process.stdout is not None
-    assert process.stderr is not None
     try:
-        line = process.stdout.readline()
-        assert line, process.stderr.read()
-        yield process, json.loads(line)[0]
+        yield process
     finally:
         process.kill()
         process.communicate()
@@ -93,6 +100,30 @@ def test_canopen_attaches_and_ctrl_c_ends_it_cleanly(
             ids.add(got.frame.id)
         client.close()
         end(process, signal.SIGTERM)
+
+
+def test_delivered_controllers_have_labels_that_they_keep(tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(CIA402, encoding="utf-8")
+    with running(tmp_path, "robot.yaml", "--delivered", "--store", "store.json") as (process, new):
+        labels = new["labels"]
+        assert labels["fl_controller"] == {  # type: ignore[index]
+            "serial": "0x101",
+            "motors": {"propulsion": "fl_drive_propulsion", "steering": "fl_steering_steering"},
+        }
+        end(process)
+    file.write_text(CIA402.replace("0x101", "0x105"), encoding="utf-8")
+    with running(tmp_path, "robot.yaml", "--store", "store.json") as (process, again):
+        assert again["labels"] == labels
+        end(process)
+    with started(tmp_path, "robot.yaml", "--store", "store.json") as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("main: 7 devices")
+        assert process.stdout.readline() == (
+            "label of fl_controller: serial 0x101, wired to fl_drive_propulsion, "
+            "fl_steering_steering\n"
+        )
+        end(process)
 
 
 def test_injected_faults_are_reported_at_their_time(tmp_path: Path) -> None:

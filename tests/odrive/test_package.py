@@ -15,7 +15,9 @@ from tests.cli.conftest import needs_tools
 from tests.example_packages import environment, thorvaldc
 from tests.examples import FOLDER, example_robot
 from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot, read_memory, write_memory
 
 ROBOT = str(FOLDER / "odrive" / "robot.yaml")
 
@@ -113,6 +115,16 @@ def test_two_processes(tmp_path: Path, odrive_package: list[str]) -> None:
     assert frames["left_controller_heartbeat"]["values"]["axis_state"] == "idle"
     assert frames["right_controller_get_encoder_estimates"]["problem"] == ""
     bus.end()
+
+
+def test_the_memory_of_the_devices_reads_back(odrive_package: list[str], tmp_path: Path) -> None:
+    """It has an id 0, a truth value and a time."""
+    robot, path = example_robot("odrive"), tmp_path / "memory.json"
+    simulated = SimulatedRobot(robot)
+    write_memory(path, simulated)
+    report = Report()
+    assert read_memory(path, robot, report) == simulated.memory(), list(report)
+    assert simulated.memory()["left_controller"]["motors"] == {"axis0": "left_drive_propulsion"}
 
 
 def test_every_message_is_in_the_dbc() -> None:

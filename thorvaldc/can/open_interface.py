@@ -232,6 +232,9 @@ def _open_simulated(spec: str, channel: str, bus: Bus, listen_only: bool) -> Can
         # A robot with several buses has the channel `NAME.left` for its bus `left`.
         name = channel.removesuffix(f".{bus.name}")
         hint = f"start it in another terminal: thorvaldc bus FILE --channel {name}"
+        with contextlib.suppress(OSError):  # the path is too long
+            if socket_path(f"{channel}.{bus.name}").exists():
+                hint = f"the bus `{bus.name}` of this robot is sim:{channel}.{bus.name}"
         raise _interface_error(spec, one_line(error), hint) from None
 
 

@@ -157,7 +157,7 @@ def _open_virtual_bus(robot: Robot, bus: Bus, name: str, store: str) -> Iterator
     from thorvaldc.cli.virtual_robot import read_store
     from thorvaldc.simulation.bus import simulated_robot
 
-    memory = read_store(store)
+    memory = read_store(store, robot)
     simulated = simulated_robot.SimulatedRobot(
         robot, delivered=variant == "delivered", nonvolatile=memory
     )

@@ -74,14 +74,14 @@ def make_mujoco_base(robot: Robot, file: str, report: Report) -> MujocoBase:
     return MujocoBase(robot, MujocoScene(files))
 
 
-def read_store(store: str) -> Memory:
+def read_store(store: str, robot: Robot) -> Memory:
     """Returns the non-volatile memory of the simulated devices from the file of the option
     ``--store``.
 
     If the file has errors, prints them and raises ``typer.Exit``.
     """
     report = Report()
-    memory = read_memory(Path(store), report) if store else {}
+    memory = read_memory(Path(store), robot, report) if store else {}
     if memory is None:
         raise typer.Exit(show_report(report, {store: Path(store)}))
     return memory

@@ -168,7 +168,7 @@ class Node(Element):
     - ``bitrates``: the supported bit rates in bit/s. An empty list of bit rates means that the node
       supports any bit rate.
     - ``objects``: required values of the object dictionary, sorted by index and subindex.
-    - ``serial``: serial number for LSS, or ``None``.
+    - ``serial``: serial number as the robot file states it, or ``None``.
     - ``channels``: the channels of a motor controller.
     - ``properties``: values of the device in SI units, by name.
     """
@@ -199,6 +199,16 @@ class Node(Element):
     def is_canopen(self) -> bool:
         """True if the id of the node is a CANopen node id."""
         return self.id_space == CANOPEN
+
+    @property
+    def serial_number(self) -> int | None:
+        """Serial number as in the CANopen object 0x1018:4, or ``None`` if ``serial`` is no 32-bit
+        integer."""
+        try:
+            number = int(self.serial or "", 0)
+        except ValueError:
+            return None
+        return number if 0 <= number <= 0xFFFFFFFF else None
 
     @property
     def is_cia402(self) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
-from thorvaldc.model.bus import MASTER, Bus, Node
+from thorvaldc.model.bus import MASTER, Bus
 from thorvaldc.model.bus_timing import required_objects
 
 SERIAL_NUMBER = (0x1018, 4)
@@ -46,7 +46,7 @@ def wrong_buses(buses: Sequence[Bus], heard: Mapping[str, Heard]) -> str:
 def _owner(buses: Sequence[Bus], name: str, devices: Heard) -> str:
     """Returns the only other bus to which all devices on the bus ``name`` belong, or ""."""
     ids = {b.name: {f.cob_id for f in b.frames if f.producer != MASTER} for b in buses}
-    serials = {b.name: {_serial(node) for node in b.nodes} for b in buses}
+    serials = {b.name: {node.serial_number for node in b.nodes} for b in buses}
     possible = [
         owners
         for known, numbers in ((ids, devices.cob_ids), (serials, devices.serials))
@@ -55,13 +55,6 @@ def _owner(buses: Sequence[Bus], name: str, devices: Heard) -> str:
     ]
     common = set.intersection(*possible) if possible else {name}
     return common.pop() if len(common) == 1 and name not in common else ""
-
-
-def _serial(node: Node) -> int | None:
-    try:
-        return None if node.serial is None else int(node.serial, 0)
-    except ValueError:
-        return None
 
 
 def are_alike(first: Bus, second: Bus) -> bool:

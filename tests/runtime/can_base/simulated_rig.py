@@ -14,7 +14,7 @@ from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.motor_wiring import Wiring
-from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+from thorvaldc.simulation.bus.simulated_robot import Memory, SimulatedRobot
 
 FORWARD = Twist(0.5, 0.0, 0.0)
 
@@ -36,11 +36,17 @@ class Rig:
         drives: Robot | None = None,
         quirks: Iterable[Quirk] = (),
         wiring: Mapping[str, Wiring] | None = None,
+        memory: Memory | None = None,
     ) -> None:
         """``drives``: robot whose devices are on the bus; ``None``: those of ``robot``."""
         self.robot = robot
         self.simulated = SimulatedRobot(
-            drives or robot, seed=seed, base=base, quirks=quirks, wiring=wiring
+            drives or robot,
+            seed=seed,
+            base=base,
+            nonvolatile=memory,
+            quirks=quirks,
+            wiring=wiring,
         )
         if power:
             self.simulated.power_on()

@@ -5,9 +5,10 @@ from __future__ import annotations
 import gc
 import signal
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,7 +16,7 @@ from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT
 
 if TYPE_CHECKING:
-    from thorvaldc.model import Robot
+    from thorvaldc.model import Bus, Robot
     from thorvaldc.model.scenario import BusFault
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
@@ -66,7 +67,7 @@ def bus(
         return INPUT
     robot = loaded.robot
     gc.enable()
-    memory = read_store(store)
+    memory = read_store(store, robot)
     report = Report()
     try:
         simulated = virtual_robot(
@@ -86,7 +87,10 @@ def bus(
     show_report(report, sources)
     if report.has_errors:
         return INPUT
-    _serve(simulated, _channels(robot, channel), store, lockstep, json)
+    channels = _channels(robot, channel)
+    # The robot file may contradict the label of a device whose memory was stored.
+    show_start = partial(_show_start, simulated, channels, json, delivered or bool(store))
+    _serve(simulated, channels, store, lockstep, show_start)
     return DONE
 
 
@@ -102,7 +106,11 @@ def _channels(robot: Robot, channel: str) -> dict[str, str]:
 
 
 def _serve(
-    simulated: SimulatedRobot, channels: Mapping[str, str], store: str, lockstep: bool, json: bool
+    simulated: SimulatedRobot,
+    channels: Mapping[str, str],
+    store: str,
+    lockstep: bool,
+    show_start: Callable[[], None],
 ) -> None:
     """Runs the simulated CAN buses until the process receives SIGINT or SIGTERM.
 
@@ -123,7 +131,7 @@ def _serve(
     }
     try:
         simulated.power_on()
-        _show_start(simulated.robot, channels, json)
+        show_start()
         server.run()
     finally:
         for number, handler in previous_handlers.items():
@@ -133,10 +141,12 @@ def _serve(
     _show_end(simulated, server.behind)
 
 
-def _show_start(robot: Robot, channels: Mapping[str, str], json: bool) -> None:
+def _show_start(
+    simulated: SimulatedRobot, channels: Mapping[str, str], json: bool, shows_labels: bool
+) -> None:
     from thorvaldc.cli.diagnostic_output import message, print_json
 
-    buses = {bus.name: bus for bus in robot.buses}
+    buses = {bus.name: bus for bus in simulated.robot.buses}
     if json:
         values = [
             {
@@ -145,6 +155,7 @@ def _show_start(robot: Robot, channels: Mapping[str, str], json: bool) -> None:
                 "interface": "thorvaldc_sim",
                 "bitrate": buses[name].bitrate,
                 "devices": [node.name for node in buses[name].nodes],
+                "labels": _labels(simulated, buses[name]),
             }
             for name, channel in channels.items()
         ]
@@ -157,8 +168,26 @@ def _show_start(robot: Robot, channels: Mapping[str, str], json: bool) -> None:
             f'can.Bus(interface="thorvaldc_sim", channel="{channel}")',
             flush=True,
         )
+        for device, label in _labels(simulated, bus).items() if shows_labels else ():
+            serial = f"serial {label['serial']}" if "serial" in label else "no serial number"
+            motors = ", ".join(label["motors"].values())
+            print(f"label of {device}: {serial}, wired to {motors}", flush=True)
     if sys.stderr.isatty():
         message("Ctrl-C ends it.")
+
+
+def _labels(simulated: SimulatedRobot, bus: Bus) -> dict[str, dict[str, Any]]:
+    """Returns the serial number and the motors of each controller on a bus."""
+    from thorvaldc.simulation.bus.simulated_device import MOTORS, SERIAL
+
+    memory = simulated.memory()
+    return {
+        node.name: {
+            key: memory[node.name][key] for key in (SERIAL, MOTORS) if key in memory[node.name]
+        }
+        for node in bus.nodes
+        if MOTORS in memory[node.name]
+    }
 
 
 def _show_injected_fault(time: float, fault: BusFault, begins: bool) -> None:

@@ -239,7 +239,7 @@ def check_serials(placed: Sequence[sections.Placed], report: Report) -> None:
         serial = device.node.serial
         if serial is None:
             continue
-        number = sections.serial_number(serial)
+        number = device.node.serial_number
         if not device.node.lss and device.node.product_code is None:
             report.add(
                 "can-serial-unreadable",

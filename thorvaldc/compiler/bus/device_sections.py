@@ -220,12 +220,11 @@ def _derived(
     device: Device, node: Node, frames: Sequence[FrameDefinition], report: Report
 ) -> Iterator[tuple[ObjectValue, Span]]:
     here = device.can.where
-    serial = serial_number(node.serial)
     for name, subindex, value in (
         ("vendor_id", 1, node.vendor_id),
         ("product_code", 2, node.product_code),
         ("revision_number", 3, node.revision_number),
-        ("serial_number", 4, serial),
+        ("serial_number", 4, node.serial_number),
     ):
         yield ObjectValue(name, IDENTITY, subindex, "unsigned32", value, "ro"), here
     yield ObjectValue("device_type", DEVICE_TYPE, 0, "unsigned32", node.device_type, "ro"), here
@@ -314,17 +313,3 @@ def _milliseconds(device: Device, key: str, time: float, report: Report) -> int:
             labels=[Label(device.can.where, "stated here")],
         )
     return max(1, min(number, LONGEST_TIME))
-
-
-def serial_number(text: str | None) -> int | None:
-    """Returns a serial number as a 32-bit integer, as in object dictionary entry 0x1018:4.
-
-    Returns ``None`` if the serial number is not a 32-bit integer.
-    """
-    if text is None:
-        return None
-    try:
-        number = int(text, 0)
-    except ValueError:
-        return None
-    return number if 0 <= number <= 0xFFFFFFFF else None

@@ -10,7 +10,11 @@ from thorvaldc.can.canopen import RPDO, TPDO, NmtState
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.facts.electrics import battery_capacity
 from thorvaldc.model.sums import float_sum
-from thorvaldc.simulation.bus.simulated_device import DeviceSpecification, SimulatedDevice
+from thorvaldc.simulation.bus.simulated_device import (
+    NODE_ID,
+    DeviceSpecification,
+    SimulatedDevice,
+)
 from thorvaldc.simulation.bus.wire import Wire
 
 BATTERY_FRAMES = (0x3C0, 0x3D0, 0x3E0)
@@ -41,8 +45,8 @@ class SimulatedBattery(SimulatedDevice):
         nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
         """``capacity``: battery capacity (Ah)."""
-        super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
-        self.id = battery_id
+        memory = {NODE_ID: battery_id, **(nonvolatile or {})}
+        super().__init__(name, wire, bitrate, seed=seed, nonvolatile=memory)
         self.period = period
         self.voltage = voltage
         self.capacity = capacity
@@ -76,8 +80,12 @@ class SimulatedBattery(SimulatedDevice):
         first = self.random.uniform(0.0, self.period)
         self.every(lambda: self.period, self._discharge, first=first)
 
+    @property
+    def id(self) -> int:
+        return int(self.nonvolatile[NODE_ID])
+
     def change_node_id(self, node_id: int) -> None:
-        self.id = node_id
+        self.nonvolatile[NODE_ID] = node_id
 
     def set_charge(self, charge: float) -> float:
         previous, self.charge = self.charge, charge
@@ -139,8 +147,8 @@ class IoBoard(SimulatedDevice):
         ``at_start`` has the states of the outputs after power-on, one bit for each output.
         ``period`` is the period of the report frame (s).
         """
-        super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
-        self.id = node_id
+        memory = {NODE_ID: node_id, **(nonvolatile or {})}
+        super().__init__(name, wire, bitrate, seed=seed, nonvolatile=memory)
         self.period = period
         self.at_start = at_start
         self.outputs = 0
@@ -168,9 +176,13 @@ class IoBoard(SimulatedDevice):
     def stop(self) -> None:
         self.outputs = 0
 
+    @property
+    def id(self) -> int:
+        return int(self.nonvolatile[NODE_ID])
+
     def change_node_id(self, node_id: int) -> None:
         handler = self.handlers.pop(RPDO[0] + self.id, None)
-        self.id = node_id
+        self.nonvolatile[NODE_ID] = node_id
         if handler is not None:
             self.handlers[RPDO[0] + node_id] = handler
 

@@ -208,7 +208,7 @@ class CanopenDevice(simulated_device.SimulatedDevice):
         self.node_id = self._pending_id
         self._heartbeats = {}
         self.handlers = {}
-        if self.description.serial is not None:
+        if self.description.has_lss and self.description.serial is not None:
             self._start_lss(self.description.serial)
         if self.node_id == lss.UNCONFIGURED:
             return

@@ -38,8 +38,8 @@ class SimulatedDevice:
 
     A device is inactive before ``power_on``.  A loss of power stops all timers and clears the send
     queue and the volatile state of the device.  The mapping ``nonvolatile`` is the non-volatile
-    memory of the device.  If ``muted`` is true, the device receives and acknowledges CAN frames,
-    but does not send CAN frames.
+    memory of the device, and what the function ``hardware`` returns.  If ``muted`` is true, the
+    device receives and acknowledges CAN frames, but does not send CAN frames.
 
     Another package can provide a device class by an entry point in the group
     ``thorvaldc.simulated_devices``.  The name of the Python entry point is the protocol of the CAN
@@ -280,8 +280,8 @@ class DeviceSpecification:
     * ``delivered``: true for a device in the factory state.  A device in the factory state has no
       node id and no parameters if a master can write the node id and the parameters over the CAN
       bus.
-    * ``nonvolatile``: values that replace values in the non-volatile memory of the device, such as
-      ``node_id`` or ``bitrate``.
+    * ``nonvolatile``: what ``hardware`` returns for the device, and values that replace values in
+      its non-volatile memory, such as ``node_id`` or ``bitrate``.
     * ``quirks``: quirks of the device, if it is a CANopen device.
     """
 
@@ -350,6 +350,30 @@ class DeviceSpecification:
         return {"seed": self.seed, "nonvolatile": self.nonvolatile}
 
 
+# -- identity and wiring of a device ---------------------------------------------------------------
+
+SERIAL, MOTORS = "serial", "motors"
+"""Keys of the serial number, and of the motors by channel, in ``SimulatedDevice.nonvolatile``."""
+
+
+def hardware(robot: Robot, node: Node, name: str) -> dict[str, Any]:
+    """Returns the serial number and the motors of a new device for a node.
+
+    They are those of the robot file.  The device keeps them if the file changes later.  If the file
+    has no serial number, that of a device with LSS depends only on the names.  A clone, whose
+    ``name`` is not that of the node, has a serial number of its own.  A device without LSS and
+    without a product code cannot report a serial number.
+    """
+    motors = {c.name: c.actuator for c in node.channels if c.actuator is not None}
+    identity: dict[str, Any] = {MOTORS: motors} if motors else {}
+    number = node.serial_number
+    if node.lss or (number is not None and node.product_code is not None):
+        if number is None or name != node.name:
+            number = zlib.crc32(f"{robot.name}/{name}".encode())
+        identity[SERIAL] = f"{number:#x}"
+    return identity
+
+
 # -- data of a CANopen device ----------------------------------------------------------------------
 
 NODE_ID, PARAMETERS = "node_id", "parameters"
@@ -364,6 +388,7 @@ class DeviceDescription:
     * ``heartbeat_period``: period of the heartbeat (s).
     * ``bitrates``: supported bitrates (bit/s).
     * ``quirks``: deviations from the default behaviour.
+    * ``has_lss``: true if a device with a serial number has LSS.
     """
 
     device_type: int = 0
@@ -375,6 +400,7 @@ class DeviceDescription:
     heartbeat_period: float = 0.1
     bitrates: tuple[int, ...] = tuple(lss.BITRATES.values())
     quirks: frozenset[Quirk] = frozenset()
+    has_lss: bool = True
 
     @classmethod
     def from_specification(
@@ -384,32 +410,20 @@ class DeviceDescription:
 
         ``device_type`` applies if the node does not have a device type.
         """
-        node = specification.node
-        is_clone = specification.name != node.name
-        serial = None if is_clone else _serial_number(node.serial)
-        if serial is None and node.lss:
-            # The robot file may omit the serial number.  The computed serial number is the same in
-            # every run and different for each device.
-            serial = zlib.crc32(f"{specification.robot.name}/{specification.name}".encode())
+        node, serial = specification.node, specification.nonvolatile.get(SERIAL)
         factory_state = specification.delivered and node.lss
         return cls(
             device_type=node.device_type or device_type,
             vendor=node.vendor_id or 0,
             product=node.product_code or 0,
             revision=node.revision_number or 0,
-            serial=serial if node.lss else None,
+            serial=None if serial is None else int(serial, 16),
             name=name,
             heartbeat_period=0.0 if factory_state else specification.heartbeat_period,
             bitrates=node.bitrates or tuple(lss.BITRATES.values()),
             quirks=specification.quirks,
+            has_lss=node.lss,
         )
-
-
-def _serial_number(text: str | None) -> int | None:
-    try:
-        return None if text is None else int(text, 0) & 0xFFFFFFFF
-    except ValueError:
-        return None
 
 
 def commissioned_memory(specification: DeviceSpecification) -> dict[str, Any]:

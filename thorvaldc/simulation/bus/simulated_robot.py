@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from thorvaldc.can import frame as can_frame
 from thorvaldc.commissioning.planner import AttachStep
-from thorvaldc.diagnostics import DiagnosticError, Report
+from thorvaldc.diagnostics import DiagnosticError, Report, did_you_mean
 from thorvaldc.diagnostics.files import write_file
 from thorvaldc.model import Actuator, Bus, Node, Robot
 from thorvaldc.model.plugins import PluginFailure, PluginTable
@@ -22,10 +22,18 @@ from thorvaldc.model.scenario import Quirk
 from thorvaldc.simulation.bus import simulated_motors
 from thorvaldc.simulation.bus.battery_and_io_devices import ForeignDevice
 from thorvaldc.simulation.bus.motor_wiring import WiredMotor, Wiring
-from thorvaldc.simulation.bus.simulated_device import DeviceSpecification, SimulatedDevice
+from thorvaldc.simulation.bus.simulated_device import (
+    MOTORS,
+    DeviceSpecification,
+    SimulatedDevice,
+    hardware,
+)
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import CanController, Wire
 from thorvaldc.simulation.physics.sim_base import SimulatedJoints
+
+if TYPE_CHECKING:
+    from thorvaldc.compiler.source.node import Node as DocumentNode
 
 # -- devices ---------------------------------------------------------------------------------------
 
@@ -64,6 +72,9 @@ def create_device(specification: DeviceSpecification) -> SimulatedDevice:
         node.span,
     )
 
+
+Memory = dict[str, dict[str, Any]]
+"""Non-volatile memory by device name and key."""
 
 # -- CAN interface in virtual time -----------------------------------------------------------------
 
@@ -216,7 +227,8 @@ class SimulatedRobot:
           default, the simulated motors are ideal motors without a simulated base.
         * ``delivered``: true if all devices are in the factory state.
         * ``nonvolatile``: values in the non-volatile memory by node name, for example
-          ``{"fl_drive": {"node_id": 2}}``.  These values override the values from the robot model.
+          ``{"fl_drive": {"node_id": 2}}``.  These values override the values from the robot model,
+          also the ``serial`` number and the ``motors`` of a device, by channel.
         * ``quirks``: quirks of all simulated CANopen devices.
         * ``wiring``: connections that differ from the robot file, by the name of the actuator.
 
@@ -234,11 +246,13 @@ class SimulatedRobot:
         self._delivered = delivered
         self._quirks = frozenset(quirks)
         self._wiring = {a.name: Wiring() for a in robot.actuators if a.inverted}
+        self._stored = nonvolatile or {}
+        self._wiring.update(_stored_wiring(robot, self._stored))
         self._wiring.update(wiring or {})
         for bus in robot.buses:
             self.wires[bus.name] = Wire(self.timeline, bus.bitrate, seed=seed)
             for node in bus.nodes:
-                self._add(bus, node, node.name, (nonvolatile or {}).get(node.name, {}))
+                self._add(bus, node, node.name, self._stored.get(node.name, {}))
 
     def power_on(self) -> None:
         """Switches the power of all devices on."""
@@ -248,6 +262,12 @@ class SimulatedRobot:
     def power_off(self) -> None:
         for device in self.devices.values():
             device.power_off()
+
+    def memory(self) -> Memory:
+        """Returns the non-volatile memory of all devices, also of those not named by the robot."""
+        names = [node.name for bus in self.robot.buses for node in bus.nodes]
+        stored = {name: dict(values) for name, values in self._stored.items()}
+        return {**stored, **{name: self.devices[name].nonvolatile for name in names}}
 
     def interface(
         self, bus: str | None = None, name: str = "master", **options: Any
@@ -307,7 +327,7 @@ class SimulatedRobot:
                 name,
                 self.seed,
                 self._delivered,
-                nonvolatile,
+                {**hardware(self.robot, node, name), **nonvolatile},
                 self._quirks,
             )
         )
@@ -348,6 +368,19 @@ class SimulatedRobot:
         return model
 
 
+def _stored_wiring(
+    robot: Robot, memory: Mapping[str, Mapping[str, Any]]
+) -> Iterator[tuple[str, Wiring]]:
+    """Yields the channels whose motor is another than in the robot file, by the actuator there."""
+    for bus in robot.buses:
+        for node in bus.nodes:
+            motors = memory.get(node.name, {}).get(MOTORS, {})
+            for channel in node.channels:
+                motor = motors.get(channel.name, channel.actuator)
+                if channel.actuator is not None and motor != channel.actuator:
+                    yield channel.actuator, Wiring(motor=motor)
+
+
 # -- operator --------------------------------------------------------------------------------------
 
 SETTLING_TIME = 0.3
@@ -383,12 +416,9 @@ class VirtualOperator:
 
 # -- non-volatile memory in a file -----------------------------------------------------------------
 
-Memory = dict[str, dict[str, Any]]
-"""Stored values by device name and key."""
 
-
-def read_memory(path: Path, report: Report) -> Memory | None:
-    """Returns the stored values of the simulated devices.
+def read_memory(path: Path, robot: Robot, report: Report) -> Memory | None:
+    """Returns the stored values of the simulated devices of a robot.
 
     If the file does not exist, the function returns an empty mapping.  Returns ``None`` and reports
     errors if the content of the file is invalid.
@@ -401,11 +431,27 @@ def read_memory(path: Path, report: Report) -> Memory | None:
     document = read_file(path, str(path), report)
     if document is None or not check(document, "device_memory", report):
         return None
+    _check_motors(document, robot, report)
     memory: Memory = document.plain()
-    return memory
+    return None if report.has_errors else memory
+
+
+def _check_motors(document: DocumentNode, robot: Robot, report: Report) -> None:
+    """Reports an error for a device of the robot that is wired to an unknown motor."""
+    known = [actuator.name for actuator in robot.actuators]
+    names = [node.name for bus in robot.buses for node in bus.nodes]
+    for name, device in document.children():
+        motors = device.get(MOTORS) if name in names else None
+        for _, motor in motors.children() if motors is not None else ():
+            if motor.value not in known:
+                report.add(
+                    "motor-unknown",
+                    f"{name} is wired to `{motor.value}`, which is no motor of {robot.name}",
+                    motor.span,
+                    hint=did_you_mean(str(motor.value), known, f"its motors: {', '.join(known)}"),
+                )
 
 
 def write_memory(path: Path, simulated: SimulatedRobot) -> None:
     """Writes the non-volatile memory of all simulated devices to the JSON file."""
-    memory = {name: device.nonvolatile for name, device in simulated.devices.items()}
-    write_file(path, json.dumps(memory, indent=1, ensure_ascii=False) + "\n")
+    write_file(path, json.dumps(simulated.memory(), indent=1, ensure_ascii=False) + "\n")

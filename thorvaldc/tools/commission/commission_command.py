@@ -60,6 +60,7 @@ def commission(
     again: Annotated[
         bool, typer.Option("--again", help="Check also the motors that have passed before.")
     ] = False,
+    store: options.Store = "",
     json: options.Json = False,
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
@@ -70,6 +71,8 @@ def commission(
 
     if bus != "virtual" and not sys.stdin.isatty():
         raise typer.BadParameter("needs a terminal to ask at", param_hint="'--bus'")
+    if bus != "virtual":
+        options.refuse_options({"--store": store}, "is for a simulated robot, --bus virtual")
     loaded = load_robot(file, library, trust)
     if loaded is None:
         return INPUT
@@ -80,7 +83,7 @@ def commission(
     try:
         with contextlib.ExitStack() as locks:
             file_of_report = _ReportFile(path, loaded.robot, operator or _user(), again)
-            return _commission(file_of_report, loaded, bus, json, locks)
+            return _commission(file_of_report, loaded, bus, store, json, locks)
     except DiagnosticError as error:
         errors.put(error.diagnostic)
     return loaded.show(errors)
@@ -151,7 +154,12 @@ class _ReportFile:
 
 
 def _commission(
-    file: _ReportFile, loaded: LoadedRobot, bus: str, as_json: bool, locks: contextlib.ExitStack
+    file: _ReportFile,
+    loaded: LoadedRobot,
+    bus: str,
+    store: str,
+    as_json: bool,
+    locks: contextlib.ExitStack,
 ) -> int:
     """Checks all motors, prints the report and returns the exit status."""
     from thorvaldc.cli.diagnostic_output import message, print_json, table_width
@@ -159,7 +167,7 @@ def _commission(
     from thorvaldc.commissioning.scanner import scan_robot
     from thorvaldc.tools.commission.report_content import calibration_text, summary
 
-    interfaces, operator = _open(loaded, bus, locks)
+    interfaces, operator = _open(loaded, bus, store, locks)
     devices = scan_robot(file.robot, interfaces)
     if differences := _differences(devices):
         for interface in interfaces.values():
@@ -220,7 +228,7 @@ def _differences(entries: Sequence[ScanEntry]) -> str:
 
 
 def _open(
-    loaded: LoadedRobot, bus: str, locks: contextlib.ExitStack
+    loaded: LoadedRobot, bus: str, store: str, locks: contextlib.ExitStack
 ) -> tuple[Mapping[str, CanInterface], Operator]:
     """Returns the CAN interface of each bus, and the operator."""
     from thorvaldc.can.open_interface import lock_buses, open_interfaces
@@ -236,10 +244,13 @@ def _open(
             warn_once()
         return interfaces, ConsoleOperator(robot)
     check_full_installation("`--bus virtual`")
-    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+    from thorvaldc.cli.virtual_robot import read_store
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot, write_memory
     from thorvaldc.tools.commission.simulated_operator import SimulatedOperator
 
-    simulated = SimulatedRobot(robot)
+    simulated = SimulatedRobot(robot, nonvolatile=read_store(store, robot))
+    if store:
+        locks.callback(write_memory, Path(store), simulated)
     simulated.power_on()
     simulated.run(0.2)
     return {
