@@ -346,7 +346,7 @@ def _disobedience_cases(target: _Target) -> Iterator[FaultCase]:
     if wheel is None:
         return
     climbed = NOT_FOLLOWING + CLIMB
-    later: dict[str, Any] = {"phases": PHASES[1:], "braking": climbed, "observed": climbed + 0.5}
+    later: dict[str, Any] = {"braking": climbed, "observed": climbed + 0.5}
     moving = dict.fromkeys(MOVING_PHASES, NOT_FOLLOWING)
     if target.node.is_canopen:
         # A motor that its own command watchdog stops is not seen to disobey when it should stop.
