@@ -37,8 +37,6 @@ SECOND_DEVICE = 0.6
 """Longest time (s) until a second device or false reports are detected."""
 LONGEST_ROLL = 60.0
 """Longest time (s) for which a robot is observed whose drives have no power."""
-HUNTING = 10.0
-"""Longest time (s) until a steering joint that does not come to its angle is detected."""
 SLOW = 3.0
 """Longest time (s) until a state that is read now and then is detected."""
 
@@ -430,18 +428,16 @@ def _wrong_data_cases(target: _Target) -> Iterator[FaultCase]:
         yield case(
             "two in five commands of a drive are lost", lost, None, by_ramp=True, braking=0.1
         )
-    later: dict[str, Any] = {"phases": (IDLE, *MOVING_PHASES), "observed": HUNTING}
+    later: dict[str, Any] = {"phases": (IDLE, *MOVING_PHASES), "braking": NOT_FOLLOWING}
     if wheel is not None:
         number = target.number(wheel)
         wrong = partial(Rehearsal.falsify_speed, node=node, channel=number, share=0.3, largest=5.0)
-        name = "three in ten speeds of a wheel are random"
-        yield case(name, wrong, None, **later, braking=HUNTING)
+        yield case("three in ten speeds of a wheel are random", wrong, None, **later, observed=5.0)
     if steering is not None:
         number, angle = target.number(steering), math.radians(12.0)
-        swing = partial(Rehearsal.hunt, node=node, channel=number, offset=2.0 * angle)
-        hunts = partial(swing, angle=angle, speed=1.0)
-        limit = {DRIVING: HUNTING}
-        yield case("a steering hunts about a wrong angle", hunts, limit, **later, braking=HUNTING)
+        swing = partial(Rehearsal.hunt, node=node, channel=number, speed=1.0)
+        hunts = partial(swing, offset=angle, angle=angle)
+        yield case("a steering hunts about a wrong angle", hunts, None, **later, observed=10.0)
 
 
 def _bus_cases(target: _Target) -> Iterator[FaultCase]:
