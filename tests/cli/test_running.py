@@ -296,8 +296,8 @@ def test_a_late_process_of_the_bus_is_no_silent_node(tmp_path: Path) -> None:
     """SIGSTOP stops the bus for 120 ms, five times, and then for a second."""
     (tmp_path / "good.yaml").write_text(GOOD)
     with running(tmp_path, "good.yaml") as (bus, listing):
-        channel = f"sim:{listing['channel']}"
-        process = started(tmp_path, "good.yaml", "--bus", channel, "--twist", "0.4,0,0")
+        drive = ("--bus", f"sim:{listing['channel']}", "--twist", "0.4,0,0", "--name", "late")
+        process = started(tmp_path, "good.yaml", *drive)
         assert process.stderr is not None
         for line in process.stderr:
             if "active" in line:

@@ -11,7 +11,7 @@ import cantools.database
 import pytest
 
 from tests.child_process import ChildProcess
-from tests.cli.conftest import needs_tools
+from tests.cli.conftest import SLOW, needs_tools
 from tests.example_packages import environment, thorvaldc
 from tests.examples import FOLDER, example_robot
 from thorvaldc.compiler.pipeline import compile_file, emit
@@ -86,14 +86,18 @@ def test_the_faults_of_the_fault_table(tmp_path: Path, odrive_package: list[str]
 
 @pytest.mark.slow
 def test_two_processes(tmp_path: Path, odrive_package: list[str]) -> None:
-    command = [sys.executable, "-m", "thorvaldc", "bus", ROBOT, "--json"]
+    text = Path(ROBOT).read_text(encoding="utf-8") + SLOW
+    robot = tmp_path / "robot.yaml"
+    modules = FOLDER / "odrive" / "modules"
+    robot.write_text(text.replace("library: [modules]", f"library: ['{modules}']"))
+    command = [sys.executable, "-m", "thorvaldc", "bus", str(robot), "--json"]
     environ = environment(tmp_path, *odrive_package)
     bus = ChildProcess(command, env=environ, stdout=subprocess.PIPE, text=True, cwd=tmp_path)
     assert bus.stdout is not None
     assert json.loads(bus.stdout.readline())[0]["channel"] == "odrive_rover"
-    on_bus = (ROBOT, "--bus", "sim:odrive_rover")
+    on_bus = (str(robot), "--bus", "sim:odrive_rover")
 
-    drive = ("run", *on_bus, "--twist", "0.3,0,0", "--duration", "1s", "--json")
+    drive = ("run", *on_bus, "--twist", "0.3,0,0", "--duration", "3s", "--json")
     status, out, err = thorvaldc(tmp_path, odrive_package, *drive)
     assert status == 0, out + err
     assert json.loads(out)["pose"]["x"] > 0.1

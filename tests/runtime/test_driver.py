@@ -155,10 +155,30 @@ def test_invalid_joint_states_stop_the_robot_and_keep_the_pose(what: str) -> Non
     for commands in base.written:
         assert all(math.isfinite(v) for v in (*commands.speeds, *commands.angles))
     base.bad = None
-    after = run(driver, Twist(0.5, 0.0, 0.2), 3.0, 5.0)[-1]
+    held = run(driver, Twist(0.5, 0.0, 0.2), 3.0, 4.0)
+    assert {s.mode for s in held} == {DriveMode.WAITING}, "a command from before is void"
+    assert held[-1].hold_reason.startswith("no usable joint states (")
+    assert held[-1].hold_reason.endswith("); command zero first")
+    run(driver, ZERO_TWIST, 4.0, 4.1)
+    after = run(driver, Twist(0.5, 0.0, 0.2), 4.1, 6.0)[-1]
     assert after.mode is DriveMode.DRIVING
     assert after.fault == ""
     assert after.odometry.twist == pytest.approx((0.5, 0.0, 0.2), abs=1e-6)
+
+
+@pytest.mark.parametrize(("cycles", "goes_on"), [(2, True), (3, False)])
+def test_joint_states_may_be_missing_as_long_as_a_cycle_may_be_late(
+    cycles: int, goes_on: bool
+) -> None:
+    """One rule judges both times: 2.5 periods are no gap."""
+    base, twist = Faulty(), Twist(0.5, 0.0, 0.0)
+    driver = BaseDriver(ROBOT, base)
+    run(driver, twist, 0.0, 2.0)
+    base.bad = "speeds"
+    run(driver, twist, 2.0, 2.0 + cycles * DT)
+    base.bad = None
+    after = run(driver, twist, 2.0 + cycles * DT, 4.0)[-1]
+    assert (after.mode is DriveMode.DRIVING) is goes_on
 
 
 def test_tick_at_the_same_or_an_earlier_time_does_nothing() -> None:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
+from tests.runtime.can_base.test_late_processes import LateBus
 from tests.simulation.bus.robots import CIA402, compiled
 from thorvaldc.can.frame import CanInterface
 from thorvaldc.model import Robot
@@ -14,7 +17,7 @@ from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.run_session import RunSession
-from thorvaldc.runtime.se2 import Twist
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 
@@ -116,24 +119,92 @@ def test_a_robot_that_cannot_be_armed_ends_with_every_reason(
     assert session.summary()["pose"]["x"] == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_session_comes_to_rest_after_a_gap_in_time_and_continues(
-    robot: Robot, interfaces: dict[str, CanInterface]
+def stall(runner: DrivenRobot) -> None:
+    runner.clock.sleep_until(runner.now + 0.1)
+
+
+def lock(runner: DrivenRobot) -> None:
+    runner.lock("auto_nav_pause", True)
+    runner.run_due_cycle()
+    runner.lock("auto_nav_pause", False)
+
+
+def rearm(runner: DrivenRobot) -> None:
+    """Other programs disarm the robot, and arm it again when the source is silent."""
+    runner.disarm()
+    runner.run(runner.now + 1.0)
+    runner.arm()
+
+
+@pytest.mark.parametrize(
+    ("happens", "reason"),
+    [
+        (stall, r"no control cycle for 1\d\d ms"),
+        (lock, "the lock `auto_nav_pause` was active"),
+        (rearm, "`run` was not heard before"),
+    ],
+)
+@pytest.mark.parametrize("channel", [False, True])
+def test_the_twist_of_a_session_ends_as_soon_as_it_was_ineffective(
+    happens: Callable[[DrivenRobot], None],
+    reason: str,
+    channel: bool,
+    robot: Robot,
+    interfaces: dict[str, CanInterface],
+    tmp_path: Path,
 ) -> None:
-    twist = Twist(0.5, 0.0, 0.0)
-    session = RunSession(robot, interfaces, twist=twist, duration=6.0, threaded=False)
+    """It once commanded zero itself, and drove off again when the robot had come to rest.
+
+    Without a control channel, nobody can command another twist, so that the run ends.
+    """
+    name = str(tmp_path / "driver") if channel else ""
+    twist, options = Twist(0.5, 0.0, 0.0), {"duration": 8.0, "channel": name, "threaded": False}
+    session = RunSession(robot, interfaces, twist=twist, **options)  # type: ignore[arg-type]
     speeds: list[float] = []
 
-    def stall(runner: DrivenRobot, state: DriverState) -> None:
-        if not runner.timing.gaps and state.ramped.vx > 0.49:
-            runner.clock.sleep(0.1)
-        elif runner.timing.gaps:
+    def watch(runner: DrivenRobot, state: DriverState) -> None:
+        if not speeds and state.ramped == twist:
+            speeds.append(state.ramped.vx)
+            happens(runner)
+        elif speeds:
             speeds.append(state.ramped.vx)
 
-    assert session.run(stall) is None
-    assert session.summary()["timing"]["gaps"] == 1
-    rest = speeds.index(0.0)
-    assert speeds[:rest] == sorted(speeds[:rest], reverse=True)
-    assert max(speeds[rest:]) == pytest.approx(0.5)
+    diagnostic = session.run(watch)
+    assert re.fullmatch(reason, session.twist_ended)
+    assert speeds == sorted(speeds, reverse=True)
+    assert session.driven.driver.state.ramped == ZERO_TWIST
+    assert any(
+        e.text == f"the twist has ended: {session.twist_ended}" for e in session.driven.events
+    )
+    if channel:
+        assert diagnostic is None
+        assert session.driven.now - session.ready_time > 7.9
+    else:
+        assert diagnostic is not None
+        assert diagnostic.code.name == "bus-stopped"
+        assert session.twist_ended in diagnostic.message
+
+
+def test_a_bus_that_stood_for_a_moment_ends_the_twist(
+    robot: Robot, simulated: SimulatedRobot
+) -> None:
+    """No control cycle is late, but the motion of the robot is unknown meanwhile."""
+    bus, twist = LateBus(simulated.wire(), fifo=True), Twist(0.5, 0.0, 0.0)
+    session = RunSession(robot, {"main": bus}, twist=twist, duration=8.0, threaded=False)
+    speeds: list[float] = []
+
+    def watch(runner: DrivenRobot, state: DriverState) -> None:
+        if not bus.stops_at and state.ramped == twist:
+            bus.stop(0.2)
+        if bus.stops_at:
+            speeds.append(state.ramped.vx)
+
+    diagnostic = session.run(watch)
+    assert diagnostic is not None
+    assert re.search(r"the twist has ended: no usable joint states \(.+\)", diagnostic.message)
+    assert speeds == sorted(speeds, reverse=True)
+    assert session.base.changes[-1].state is not BaseState.FAULT
+    assert session.summary()["timing"]["gaps"] == 0
 
 
 def test_a_channel_in_use_closes_the_interfaces(

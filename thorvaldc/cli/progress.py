@@ -72,6 +72,7 @@ class StatusView:
         self._last_time = -math.inf
         self._line_shown = False
         self._versions_shown = 0
+        self._end_shown = False
 
     def __enter__(self) -> StatusView:
         return self
@@ -93,6 +94,10 @@ class StatusView:
                 elapsed = change.time - session.start_time
                 message(f"{elapsed:8.2f} s  {change.state.value}{reason}")
             changes.clear()
+        if session.twist_ended and not self._end_shown:
+            self._erase_line()
+            message(f"{session.elapsed:8.2f} s  the twist has ended: {session.twist_ended}")
+            self._end_shown = True
         for text in list(driven.other_versions.values())[self._versions_shown :]:
             self._erase_line()
             message(f"warning: {text}")

@@ -101,7 +101,7 @@ class BaseDriver:
 
     A gap in time between two control cycles voids the last command, see ``pace``.  After a
     short gap, a zero twist must be commanded before the robot moves.  After a long gap, ``reset``
-    must be called too.
+    must be called too.  A time without usable joint states voids the command as a short gap does.
     """
 
     def __init__(
@@ -143,6 +143,8 @@ class BaseDriver:
         """``True`` if the joints follow the commands: these begin at the measured angles."""
         self._may_have_braked = False
         """``True`` from a gap in time until joint states show how fast the wheels still turn."""
+        self._seen_at = -math.inf
+        """Time (s) of the last usable joint states; a gap in time voids the commands itself."""
         self._lasting_difference = LastingDifference(geometry)
         self.odometry = Odometry(self.calculator, self.settings.top_speeds)
         self._followers = [Follower(axis) for axis in base.axes]
@@ -390,6 +392,12 @@ class BaseDriver:
             self.permission.step(Rules.void, reason, now, fault, every=False)
         if hold_reason:
             return DriveMode.HELD, ZERO_TWIST, hold_reason
+        if not unusable or gap is not Gap.NONE:
+            self._seen_at = now
+        elif self.time_gaps.judge(now - self._seen_at) is not Gap.NONE:
+            # The robot follows no source meanwhile, so that all commands are void as after a gap.
+            self._command_time = -math.inf
+            self.permission.step(Rules.void, f"no usable joint states ({unusable})", now)
         if unusable or self.permission.value.fault:
             return DriveMode.FAULT, ZERO_TWIST, ""
         if self.permission.value.void and self._commanded_twist == ZERO_TWIST:

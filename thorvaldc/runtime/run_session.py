@@ -42,8 +42,9 @@ class RunSession:
     """A run of a robot on its buses, with its control channel.
 
     - ``driven``: the driven robot, over the base ``base``.
-    - ``twist``: twist that the session commands until another source drives the robot.  The session
-      arms the robot once for this twist.
+    - ``twist``: twist that the session commands until it is ineffective for whatever reason.  The
+      session arms the robot once for this twist.
+    - ``twist_ended``: reason why the twist has ended, or an empty text.
     - ``duration``: duration of the run in s, from the time when the robot is ready.
     - ``channel``: name of the control channel, or empty for a run without a control channel.
     """
@@ -83,8 +84,8 @@ class RunSession:
         """Time (s) since which the robot cannot be armed."""
         self.waits_for = ""
         """Why the start-up begins again and again: drives get their power after the computer."""
+        self.twist_ended = ""
         self._was_armed = False
-        self._rests = True
         clock = interfaces[robot.buses[0].name]
         factor = (1.0 if paced else None) if not threaded else None
         try:
@@ -140,23 +141,21 @@ class RunSession:
     def _feed(self, driver: BaseDriver, now: float) -> None:
         """Publishes the twist of the session as the source of the lowest priority.
 
-        As every source it commands zero first: at the start, and after a gap in time until the
-        robot has come to rest.  When another source has driven the robot, the twist of the session
-        has ended, because the robot must not start when that source falls silent.
+        As every source it commands zero first.  Nobody repeats the request of the command line, so
+        that it ends as soon as another zero would be required: after a gap in time, a lock, another
+        source, or an arming by another program.
         """
         driven = self.driven
         if not driven.armed:
             if not self._was_armed and (driven.ready or not self.base.is_homed):
                 self._arm()
             return
+        twist = self.twist if self._was_armed and self.twist is not None else ZERO_TWIST
         self._was_armed = True
-        multiplexer = driven.multiplexer
-        if multiplexer.select(now).source not in ("", SOURCE):
-            self.twist = ZERO_TWIST
-        awaited = SOURCE in multiplexer.awaited_zeros(now)
-        self._rests = awaited or (self._rests and not self.base.standing)
-        twist = ZERO_TWIST if self._rests or self.twist is None else self.twist
-        multiplexer.publish(SOURCE, twist, now)
+        driven.multiplexer.publish(SOURCE, twist, now)
+        if reason := driven.multiplexer.awaited_zeros(now).get(SOURCE):
+            self.twist, self.twist_ended = ZERO_TWIST, reason
+            driven.note(f"the twist has ended: {reason}")
 
     def _arm(self) -> None:
         """Arms the robot, because the person has commanded the twist of the session."""
@@ -180,6 +179,8 @@ class RunSession:
             return True
         if self._waits():
             return False
+        if self.twist_ended and not self.driven.channel:
+            return True  # no program can command another twist
         if base.state in (BaseState.FAULT, BaseState.ESTOP):
             # With a control channel, an operator can reset a fault, so the run continues after the
             # fault.  A fault ends the run if the run has no control channel, if a CAN bus is lost,
@@ -212,10 +213,13 @@ class RunSession:
     def _verdict(self) -> Diagnostic | None:
         state_machine = self.base.state_machine
         if state_machine.state not in (BaseState.FAULT, BaseState.ESTOP):
-            if not self.refusal:
-                return None
-            message = f"the robot cannot be armed: {self.refusal}"
-            return Diagnostic(CODES["bus-start"], message, self.robot.span)
+            if self.refusal:
+                message = f"the robot cannot be armed: {self.refusal}"
+                return Diagnostic(CODES["bus-start"], message, self.robot.span)
+            if self.twist_ended and not self.driven.channel:
+                message = f"the twist has ended: {self.twist_ended}"
+                return Diagnostic(CODES["bus-stopped"], message, self.robot.span)
+            return None
         code, hint = "bus-stopped", None
         if state_machine.mismatch:
             code = "bus-mismatch"

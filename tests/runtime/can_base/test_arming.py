@@ -116,6 +116,15 @@ def test_all_reasons_are_reported_together() -> None:
     assert not any("not enabled" in reason for reason in reasons)  # it is a consequence
 
 
+def test_a_battery_that_reports_no_voltage_refuses() -> None:
+    rig = ready()
+    battery = next(d for n, d in rig.simulated.devices.items() if n.startswith("battery"))
+    battery.voltage = 0.0  # type: ignore[attr-defined]
+    rig.run(1.0)
+    with pytest.raises(RequestRefused, match="battery: reports a voltage of 0 V"):
+        rig.driven.arm()
+
+
 def test_a_battery_that_allows_no_discharge_refuses() -> None:
     rig = ready()
     battery = next(d for n, d in rig.simulated.devices.items() if n.startswith("battery"))

@@ -9,6 +9,7 @@ from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import drives
 from thorvaldc.can.frame import ReceivedFrame
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
+from thorvaldc.runtime.se2 import ZERO_TWIST
 from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 
 PERIOD = 0.02
@@ -47,7 +48,11 @@ def test_a_late_process_of_the_bus_is_no_silent_node(kind: str) -> None:
         rig.run(0.8)
         assert rig.state.drives, rig.reason
     rig.run(0.5)
-    assert rig.state is BaseState.ACTIVE
+    assert rig.state is BaseState.READY, "the motion was unknown, so that zero comes first"
+    assert rig.driven.armed
+    rig.twist = ZERO_TWIST
+    rig.run(0.1)
+    rig.drive()
 
 
 @pytest.mark.parametrize("kind", ["cia402", "script"])

@@ -10,11 +10,14 @@ import pytest
 from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import cia402, each_drive
+from thorvaldc.can.canopen import EMCY, HEARTBEAT, LSS_REQUEST
+from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.runtime.base_interface import RequestRefused
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.frame_receiver import OBSERVATION
+from thorvaldc.runtime.se2 import ZERO_TWIST
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
@@ -223,3 +226,43 @@ def test_resets_do_not_hide_false_reports_of_a_drive(make: Make) -> None:
     rig.base.state_machine.changed = lambda time, state, reason: noticed.append(reason)
     rig.run(3.0)
     assert any("comes more often" in reason for reason in noticed), noticed
+
+
+# -- strangers ---------------------------------------------------------------------------------
+
+
+def test_an_lss_master_is_another_master_also_if_the_damage_shows_at_the_next_start_only() -> None:
+    """It stores one id in all drives, which keep their ids until then."""
+    rig = Rig(cia402())
+    rig.drive()
+    tool = rig.simulated.interface(name="tool")
+    start = rig.now
+    for message in (b"\4\1", b"\x11\x09", b"\x17"):
+        tool.send(CanFrame(LSS_REQUEST, message.ljust(8, b"\0")))
+        rig.run(PERIOD)
+    assert rig.until(lambda: rig.state is BaseState.FAULT, 0.1) <= 0.04
+    assert rig.now - start < 0.2
+    assert "it sends LSS requests, which change node ids (0x7e5)" in rig.reason
+    rig.twist = ZERO_TWIST
+    rig.run(2.0)
+    stored = [rig.simulated.devices[f"{side}_controller"].nonvolatile for side in ("fl", "fr")]
+    assert [memory["node_id"] for memory in stored] == [9, 9]
+    rig.simulated.power_off()
+    rig.simulated.power_on()
+    rig.driven.reset()
+    rig.until(lambda: "not pre-operational in time" in rig.reason, 10.0)
+    warning = "a node on the bus `main` has the id 9, the robot file has none"
+    assert warning in rig.base.warnings(rig.now)
+
+
+@pytest.mark.parametrize("cob_id", [EMCY + 99, HEARTBEAT + 99])
+def test_a_node_that_the_robot_file_does_not_have_is_named(cob_id: int) -> None:
+    rig = Rig(cia402())
+    rig.drive()
+    assert rig.base.warnings(rig.now) == []
+    rig.simulated.interface(name="stranger").send(CanFrame(cob_id, bytes(8)))
+    rig.run(3 * PERIOD)
+    assert rig.base.warnings(rig.now) == [
+        "a node on the bus `main` has the id 99, the robot file has none"
+    ]
+    assert rig.state is BaseState.ACTIVE

@@ -310,6 +310,32 @@ def test_watchdog_lost_of_a_script(lost: bool) -> None:
     assert (abs(motor.read(run.simulated.timeline.seconds).velocity) > 1.0) is lost
 
 
+@pytest.mark.parametrize("kind", ["frozen_reports", "commands_ignored", "nmt_ignored"])
+def test_a_task_that_hangs_before_the_start_hangs_until_the_next_reset(kind: str) -> None:
+    """The fault once ended with the boot of the device."""
+    robot = example_robot("4wd4ws_wide")
+    run = Run(fault(kind, at=0.0), robot=robot)
+    node = next(n for n in robot.buses[0].nodes if n.name == FL)
+    _, motor = run.simulated.devices[FL].channel_motor(0)
+    assert motor is not None
+
+    def drive() -> tuple[bool, bool]:
+        """Returns whether the wheel turns, and whether the reports show different speeds."""
+        run.simulated.run(0.3)
+        run.master.nmt(1)
+        reports = set()
+        for k in range(50):
+            run.master.send(0x200 + node.id, struct.pack("<ii", k, 300 if k > 20 else 0))
+            reports.update(run.master.all(0x180 + node.id, 0.02))
+        turns = abs(motor.read(run.simulated.timeline.seconds).velocity) > 1.0
+        return turns, len(reports) > 1
+
+    assert drive() == (kind == "frozen_reports", False)
+    run.simulated.devices[FL].power_off()
+    run.simulated.devices[FL].power_on()
+    assert drive() == (True, True)
+
+
 def test_noise_costs_time_but_nothing_is_lost() -> None:
     noisy, quiet = Run(fault("noise", None, at=0.0, share=0.3)), Run()
     for run in (noisy, quiet):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -68,7 +68,7 @@ def table() -> Iterator[str]:
     return markdown_table([HEADINGS, *lines], aligned=True)
 
 
-def replaced(page: str, begin: str, lines: Iterator[str]) -> str:
+def replaced(page: str, begin: str, lines: Iterable[str]) -> str:
     """Returns the page with other lines between ``begin`` and ``END``."""
     head, _, tail = page.partition(begin)
     return head + begin + "".join(f"{line}\n" for line in lines) + END + tail.partition(END)[2]
@@ -78,10 +78,11 @@ def main() -> int:
     if sys.argv[1:]:
         print(json.dumps(list(cells(sys.argv[1]))))
         return 0
-    page = replaced(PAGE.read_text(encoding="utf-8"), BEGIN, table())
+    faults = list(table())
     topics = markdown_table(
         [joint_topic_faults.HEADINGS, *joint_topic_faults.cells()], aligned=True
     )
+    page = replaced(PAGE.read_text(encoding="utf-8"), BEGIN, faults)
     PAGE.write_text(replaced(page, TOPICS, topics), encoding="utf-8")
     return 0
 

@@ -83,6 +83,13 @@ class BatteryDriver(abc.ABC):
         The state of charge is judged by ``BatterySupervision``.
         """
 
+    @property
+    def problem(self) -> str:
+        """``warning``, or that a report is impossible: no battery supplies a robot with 0 V."""
+        if self.state.voltage <= 0.0:
+            return f"reports a voltage of {self.state.voltage:g} V"
+        return self.warning
+
 
 class KcBatteryDriver(BatteryDriver):
     """Driver of the KC battery, which broadcasts three different CAN frames."""
@@ -337,7 +344,7 @@ class BatterySupervision:
     def warnings(self) -> list[str]:
         """Returns the reason of each battery whose level is not ``OK``, and its own warnings."""
         warnings = [f"{n}: {reason}" for n in self._judgements if (reason := self.problem(n))]
-        return warnings + [f"{b.node.name}: {b.warning}" for b in self.batteries if b.warning]
+        return warnings + [f"{b.node.name}: {b.problem}" for b in self.batteries if b.problem]
 
     def arming_reasons(self, now: float) -> Iterator[str]:
         """Yields the reasons against arming the robot at the time ``now`` (s)."""
@@ -347,8 +354,8 @@ class BatterySupervision:
                 yield f"{name}: no reports of its charge"
             elif not self.has_several:
                 yield from self._too_low_to_arm(name, state.charge)
-            if battery.warning:
-                yield f"{name}: {battery.warning}"
+            if battery.problem:
+                yield f"{name}: {battery.problem}"
         if self.has_several and (supply := self.supply) is not None:
             yield from self._too_low_to_arm(SUPPLY, supply.charge)
 

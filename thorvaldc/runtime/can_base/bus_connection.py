@@ -128,8 +128,12 @@ class BusConnection:
         # Only a master sends NMT, SYNC, the heartbeat of the master, commands and SDO requests.  If
         # such a frame is received, another master is on the bus.
         self._master_names = _master_frames(bus)
+        self._unknown_ids = _ids_of_unknown_nodes(bus)
+        self.unknown_node: int | None = None
+        """Id of a CANopen node on the bus that the robot file does not have, or ``None``."""
         event_ids = {
             *self._master_names,
+            *self._unknown_ids,
             *self.relay.from_device,
             *self._emergency_frames,
             *self._sdo_responses,
@@ -197,6 +201,8 @@ class BusConnection:
         elif cob_id in self._master_names:
             name = self._master_names[cob_id]
             self.foreign_master = f"another master is on the bus: it sends {name} ({cob_id:#05x})"
+        elif cob_id in self._unknown_ids:
+            self.unknown_node = cob_id & 0x7F
 
     def _take_sdo_response(self, name: str, data: bytes) -> None:
         readback = self.readbacks.get(name)
@@ -217,7 +223,7 @@ class BusConnection:
         """Forgets the frames that were counted before, and allows ``boot_ups`` further boot-up
         messages of each node."""
         self.rates.clear()
-        self.receiver.ignored_id = None
+        self.receiver.ignored_id = self.unknown_node = None
         self.watchdog.allow_boot_ups(boot_ups)
         self._extra_responses.clear()
 
@@ -269,13 +275,13 @@ class BusConnection:
         names = [name for name in self._device_names() if name in excessive]
         warnings = [f"{name}: {excessive[name]}" for name in names]
         warnings += [f"{c.node.name}: {c.warning}" for c in self.controllers if c.warning]
-        if ignored is None:
-            return warnings
-        return [
-            *warnings,
-            f"extended or remote frames with the id {ignored:#05x} are on the bus "
-            f"`{self.bus.name}`; they command nothing, but which program sends them?",
-        ]
+        bus = f"on the bus `{self.bus.name}`"
+        if self.unknown_node is not None:
+            warnings.append(f"a node {bus} has the id {self.unknown_node}, the robot file has none")
+        if ignored is not None:
+            ids = f"extended or remote frames with the id {ignored:#05x} are {bus}"
+            warnings.append(f"{ids}; they command nothing, but which program sends them?")
+        return warnings
 
     def _device_names(self) -> list[str]:
         return [b.node.name for b in self.batteries] + [b.node.name for b in self.boards]
@@ -519,12 +525,14 @@ class BusConnection:
 def _master_frames(bus: Bus) -> dict[int, str]:
     """Returns a description of each frame that only the master may send, by COB-ID.
 
-    NMT and SYNC belong to the master only on a bus with CANopen nodes.  Frames that the base driver
-    relays to foreign devices are excluded, because a foreign device may have a master of its own.
+    NMT, SYNC and LSS belong to the master only on a bus with CANopen nodes.  Frames that the base
+    driver relays to foreign devices are excluded: a foreign device may have a master of its own.
     """
     names: dict[int, str] = {}
     if any(node.is_canopen for node in bus.nodes):
         names = {canopen.NMT: "NMT", canopen.SYNC: "SYNC"}
+        # An LSS request can give all drives one id, which shows at their next start only.
+        names[canopen.LSS_REQUEST] = "LSS requests, which change node ids"
     for frame in bus.frames:
         if frame.producer != MASTER:
             continue
@@ -535,6 +543,14 @@ def _master_frames(bus: Bus) -> dict[int, str]:
         elif frame.kind == "pdo":
             names[frame.cob_id] = f"commands to {', '.join(frame.consumers)}"
     return names
+
+
+def _ids_of_unknown_nodes(bus: Bus) -> frozenset[int]:
+    """Returns the COB-IDs of EMCY messages and heartbeats that belong to no node of the bus."""
+    if not any(node.is_canopen for node in bus.nodes):
+        return frozenset()
+    ids = {base + i for base in (canopen.EMCY, canopen.HEARTBEAT) for i in range(1, 128)}
+    return frozenset(ids - {frame.cob_id for frame in bus.frames})
 
 
 def _sdo_frames(bus: Bus, node: str) -> list[FrameDefinition]:

@@ -256,7 +256,7 @@ def component_statuses(
     for driver in batteries.batteries:
         name, battery = driver.node.name, driver.state
         values = {**battery.source, "alarms": battery.alarms, "temperatures": battery.temperatures}
-        reason = batteries.problem(name) or driver.warning
+        reason = batteries.problem(name) or driver.problem
         yield ComponentStatus(name, "warning" if reason else "ok", reason or "ok", values)
     if batteries.has_several and (supply := batteries.supply) is not None:
         level = "warning" if (reason := batteries.problem(SUPPLY)) else "ok"

@@ -80,6 +80,7 @@ class CanopenDevice(simulated_device.SimulatedDevice):
         """``True`` if SYNC is ignored."""
         self.nmt_ignored = False
         """``True`` if NMT commands are ignored."""
+        self._frozen_reports = False
         self.boot_time = BOOT_TIME
         self.objects = object_dictionary.ObjectDictionary()
         self.pdos: object_dictionary.PdoSet | None = None
@@ -159,10 +160,19 @@ class CanopenDevice(simulated_device.SimulatedDevice):
         self.after(self.boot_time * (1.0 + self.random.random() / 10.0), self._initialise)
 
     def stop(self) -> None:
+        self._end_hung_tasks()
         self.state = NmtState.INITIALISING
         self.node_id = lss.UNCONFIGURED
         self.pdos = None
         self.lss = None
+
+    def _end_hung_tasks(self) -> None:
+        """A device that restarts runs all its tasks.
+
+        A task that hangs before the device has started hangs from the start.
+        """
+        self.commands_ignored = self.sync_ignored = self.nmt_ignored = False
+        self.frozen_reports = False
 
     def change_node_id(self, node_id: int) -> None:
         """Stores a new node id in non-volatile memory and resets the node."""
@@ -200,6 +210,7 @@ class CanopenDevice(simulated_device.SimulatedDevice):
     def reset_communication(self) -> None:
         """Resets the communication objects to the stored values and applies the pending node id."""
         self._life += 1
+        self._end_hung_tasks()
         self.handlers = {}
         self.enter(NmtState.INITIALISING)
         self.after(self.boot_time / 10.0, self._initialise)
@@ -213,8 +224,6 @@ class CanopenDevice(simulated_device.SimulatedDevice):
         if self.node_id == lss.UNCONFIGURED:
             return
         quirks = self._quirks
-        # A restarted device runs all its tasks.
-        self.commands_ignored = self.sync_ignored = self.nmt_ignored = False
         self.objects = objects = object_dictionary.ObjectDictionary(
             length_aborts=Quirk.LENGTH_ABORTS in quirks
         )
@@ -223,6 +232,7 @@ class CanopenDevice(simulated_device.SimulatedDevice):
         self.pdos = self.make_pdos(objects)
         if self.pdos is not None:
             self.pdos.apply_quirks(quirks)
+            self.pdos.frozen = self.frozen_reports
         objects.restore(self.nonvolatile.get(simulated_device.PARAMETERS, {}))
         self._sdo = SdoServer(
             objects,
@@ -372,11 +382,12 @@ class CanopenDevice(simulated_device.SimulatedDevice):
 
     @property
     def frozen_reports(self) -> bool:
-        """``True`` if all sent PDOs repeat their last data."""
-        return self.pdos is not None and self.pdos.frozen
+        """``True`` if all sent PDOs repeat their last data, or their first data without any."""
+        return self._frozen_reports
 
     @frozen_reports.setter
     def frozen_reports(self, frozen: bool) -> None:
+        self._frozen_reports = frozen
         if self.pdos is not None:
             self.pdos.frozen = frozen
 

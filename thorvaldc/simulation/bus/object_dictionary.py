@@ -380,7 +380,7 @@ class PdoSet:
     """The PDOs of a simulated CANopen device.
 
     ``received`` has the RPDOs of the device, and ``sent`` has the TPDOs of the device.  If
-    ``frozen`` is true, each TPDO repeats the data that was sent last.
+    ``frozen`` is true, each TPDO repeats the data that was sent last, or first if there was none.
     """
 
     def __init__(
@@ -405,9 +405,9 @@ class PdoSet:
         self._sent_at = [-math.inf] * len(self.sent)
 
     def _send(self, cob_id: int, data: bytes) -> None:
-        if not self.frozen:
+        if not self.frozen or cob_id not in self._newest:
             self._newest[cob_id] = data
-        self._transmit(cob_id, self._newest.get(cob_id, data))
+        self._transmit(cob_id, self._newest[cob_id])
 
     def apply_quirks(self, quirks: frozenset[Quirk]) -> None:
         """Changes the factory settings of the PDOs as the quirks of the device say."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 from thorvaldc.model import Actuator, Robot
@@ -339,12 +340,14 @@ class Encoder:
     """An incremental encoder on the motor shaft with four counts per pulse.
 
     The encoder count is 0 at power-on.  If ``frozen`` is true, the encoder repeats the last count.
+    ``noise``: returns a wrong speed (rad/s), or ``None`` where the measured speed is right.
     """
 
     def __init__(self, gear_ratio: float, pulses: int) -> None:
         self.gear_ratio = gear_ratio
         self.pulses = pulses
         self.frozen = False
+        self.noise: Callable[[], float | None] | None = None
         self._zero = 0.0
         self._last = (0.0, 0.0)
 
@@ -371,7 +374,8 @@ class Encoder:
     def measure(self, state: MotorState) -> tuple[float, float]:
         """Returns the joint position (rad) and joint speed (rad/s) that the encoder measures."""
         if not self.frozen:
-            self._last = (state.position - self._zero, state.velocity)
+            wrong = None if self.noise is None else self.noise()
+            self._last = (state.position - self._zero, state.velocity if wrong is None else wrong)
         return self._last if not self.frozen else (self._last[0], 0.0)
 
 

@@ -5,9 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
-from thorvaldc.can.canopen import NMT, SYNC, NmtCommand
+from thorvaldc.can import lss
+from thorvaldc.can.canopen import EMCY, LSS_REQUEST, NMT, SYNC, Emergency, NmtCommand
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame_bits import frame_bits
 from thorvaldc.model import Bus, FrameDefinition, Node, ObjectValue, Robot, scenario, stopping
 from thorvaldc.model.bus import MASTER
 from thorvaldc.model.bus_timing import reading_time, required_objects
@@ -113,7 +117,9 @@ def fault_cases(robot: Robot) -> list[FaultCase]:
         (_encoder_cases, targets.values()),
         (_disobedience_cases, targets.values()),
         (_forgery_cases, targets.values()),
+        (_wrong_data_cases, targets.values()),
         (_bus_cases, on_buses.values()),
+        (_stranger_cases, on_buses.values()),
         (_battery_cases, first),
         (_program_cases, first),
     )
@@ -175,6 +181,9 @@ class _Target:
             0x1800 <= entry.index < 0x1A00 and entry.subindex == 2 and (entry.value or 255) <= 240
             for entry in self.node.objects
         )
+
+    def number(self, channel: str) -> int:
+        return [c.name for c in self.node.channels].index(channel)
 
     def channel(self, role: str) -> str | None:
         names = (c.name for c in self.node.channels if c.role == role and c.actuator is not None)
@@ -346,7 +355,7 @@ def _disobedience_cases(target: _Target) -> Iterator[FaultCase]:
     if wheel is None:
         return
     climbed = NOT_FOLLOWING + CLIMB
-    later: dict[str, Any] = {"phases": PHASES[1:], "braking": climbed, "observed": climbed + 0.5}
+    later: dict[str, Any] = {"braking": climbed, "observed": climbed + 0.5}
     moving = dict.fromkeys(MOVING_PHASES, NOT_FOLLOWING)
     if target.node.is_canopen:
         # A motor that its own command watchdog stops is not seen to disobey when it should stop.
@@ -405,6 +414,32 @@ def _forgery_cases(target: _Target) -> Iterator[FaultCase]:
         yield case("false reports of a drive: random", jumping, SECOND_DEVICE)
 
 
+def _wrong_data_cases(target: _Target) -> Iterator[FaultCase]:
+    """Yields the cases of a drive that gets its commands late or not, or measures nonsense."""
+    case, device, node = target.case, target.device, target.node.name
+    wheel, steering = target.channel("propulsion"), target.channel("steering")
+    if target.command is not None:
+        command = target.command.cob_id
+        for latency in (0.08, 0.2):
+            late = device("late_frames", cob_id=command, share=1.0, latency=latency)
+            name = f"commands of a drive arrive {latency:g} s late"
+            yield case(name, late, None, by_ramp=True, braking=latency + target.cycle)
+        lost = device("lost_frames", cob_id=command, share=0.4)
+        yield case(
+            "two in five commands of a drive are lost", lost, None, by_ramp=True, braking=0.1
+        )
+    later: dict[str, Any] = {"phases": (IDLE, *MOVING_PHASES), "braking": NOT_FOLLOWING}
+    if wheel is not None:
+        number = target.number(wheel)
+        wrong = partial(Rehearsal.falsify_speed, node=node, channel=number, share=0.3, largest=5.0)
+        yield case("three in ten speeds of a wheel are random", wrong, None, **later, observed=5.0)
+    if steering is not None:
+        number, angle = target.number(steering), math.radians(12.0)
+        swing = partial(Rehearsal.hunt, node=node, channel=number, speed=1.0)
+        hunts = partial(swing, offset=angle, angle=angle)
+        yield case("a steering hunts about a wrong angle", hunts, None, **later, observed=10.0)
+
+
 def _bus_cases(target: _Target) -> Iterator[FaultCase]:
     case, cycle, prompt = target.case, target.cycle, target.prompt
     yield case(
@@ -444,6 +479,23 @@ def _bus_cases(target: _Target) -> Iterator[FaultCase]:
         yield case("another master stops all nodes (NMT)", stop, prompt, starts_at=1.0)
 
 
+def _stranger_cases(target: _Target) -> Iterator[FaultCase]:
+    """Yields the cases of frames that nobody on the bus should send."""
+    case, bus, prompt = target.case, target.bus, target.prompt
+    if any(node.is_canopen for node in bus.nodes):
+        everyone = bytes([lss.SWITCH_STATE_GLOBAL, lss.CONFIGURATION])
+        messages = (everyone, bytes([lss.CONFIGURE_NODE_ID, 9]), bytes([lss.STORE_CONFIGURATION]))
+        padded = [message.ljust(8, b"\0") for message in messages]
+        stored = partial(Rehearsal.send_foreign, bus=bus.name, cob_id=LSS_REQUEST, messages=padded)
+        yield case("another master stores the id 9 in all drives (LSS)", stored, prompt)
+        unknown = max(set(range(1, 127)) - {node.id for node in bus.nodes})
+        emcy = target.forged(EMCY + unknown, Emergency(0x2310, 1).pack())
+        yield case("EMCY message of an unknown node", emcy, None)
+    half = 2.0 * frame_bits(CanFrame(0x001, bytes(8))) / bus.bitrate
+    babble = target.device("babble", cob_id=0x001, period=half)
+    yield case("a drive fills half of the bus with top-priority frames", babble, None)
+
+
 def _battery_cases(target: _Target) -> Iterator[FaultCase]:
     robot, case = target.robot, target.case
     by_name = {node.name: bus.name for bus in robot.buses for node in bus.nodes}
@@ -472,6 +524,12 @@ def _battery_cases(target: _Target) -> Iterator[FaultCase]:
     if several:
         first = injection(on_buses[:1], "battery_charge", charge=0.0)
         yield case("one of several batteries empty", first, None, phases=phases, observed=SLOW)
+
+    def lose_voltage(rehearsal: Rehearsal) -> None:
+        for node in supplying:
+            rehearsal.simulated.devices[node].voltage = 0.0  # type: ignore[attr-defined]
+
+    yield case(f"{batteries} at 0 V", lose_voltage, None, phases=phases, observed=SLOW)
     silence = robot.driver.battery.silence + SLOW
     yield case(
         "battery sends nothing",

@@ -24,8 +24,8 @@ AFTERWARDS = 0.3
 """Time (s) of observation after the robot has reacted and stands, to see whether it moves again."""
 STEADY = 1.0
 """Time (s) of a curve after the robot has changed its yaw rate."""
-LONGEST_START = 30.0
-"""Longest time (s) of observation in the phase start-up."""
+LONGEST_START = 40.0
+"""Longest time (s) of observation in the phase start-up, with a homing that fails."""
 _ORDER = ("fault", "estop", "disarmed", "stops", "slower", "warns")
 """Reactions from the strongest to the weakest."""
 NOT_SIMULATED = "not simulated"

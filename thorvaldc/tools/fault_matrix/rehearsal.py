@@ -16,13 +16,15 @@ import contextlib
 import json
 import math
 import os
+import random
 import socket
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame import CanFrame, to_ns
 from thorvaldc.diagnostics.files import read_json
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import BusFault, BusFaults
@@ -37,6 +39,8 @@ from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 LONGEST_START = 60.0
 """Longest time (s) from power-on until the robot is ready."""
+FOREIGN_PAUSE = to_ns(0.005)
+"""Time (ns) between two messages of a foreign master."""
 FRESH = 3.0
 """Control cycles after which the end of a commanded motion must have reached the motors."""
 
@@ -316,6 +320,35 @@ class Rehearsal:
         """Injects a fault now; it lasts until the end of the rehearsal."""
         fault = BusFault(kind, bus, node, 0.0, None, self.robot.span, **values)
         FaultInjector(self.simulated, BusFaults(())).inject(fault)
+
+    def send_foreign(self, bus: str, cob_id: int, messages: Sequence[bytes]) -> None:
+        """Lets a foreign master send messages, one in a few milliseconds."""
+        for number, data in enumerate(messages):
+            values = {"cob_id": cob_id, "data": data}
+            send = partial(self.inject, "forged_frames", bus, None, **values)
+            self.simulated.timeline.after(number * FOREIGN_PAUSE, send)
+
+    def falsify_speed(self, node: str, channel: int, share: float, largest: float) -> None:
+        """Lets the encoder of a channel measure a random speed (rad/s) in a share of the time."""
+        encoder, _ = self.simulated.devices[node].channel_motor(channel)
+        if encoder is None:
+            raise ValueError(f"{node} has no encoder")
+        draw = random.Random(node)
+        encoder.noise = lambda: draw.uniform(-largest, largest) if draw.random() < share else None
+
+    def hunt(self, node: str, channel: int, offset: float, angle: float, speed: float) -> None:
+        """Lets a steering joint swing by ``angle`` (rad) to both sides, with ``speed`` (rad/s),
+        about an angle that is wrong by ``offset`` (rad), whatever is commanded."""
+        _, motor = self.simulated.devices[node].channel_motor(channel)
+        if motor is None:
+            raise ValueError(f"{node} has no motor")
+
+        def swing(travel: float) -> None:
+            motor.disturb(self.now, runaway=math.copysign(speed, travel))
+            following = -2.0 * math.copysign(angle, travel)
+            self.simulated.timeline.after(to_ns(abs(travel) / speed), lambda: swing(following))
+
+        swing(offset + angle)
 
     def lose_bus(self, bus: str) -> None:
         """Puts the CAN controller of the base driver off the bus."""
