@@ -150,6 +150,42 @@ def test_a_steering_joint_may_turn_only_towards_its_target(velocity: float) -> N
     assert bool(cycles.problem) is (velocity < 0.0)
 
 
+def swing(cycles: Cycles, centre: float, angle: float, seconds: float) -> float:
+    """Lets a joint swing by ``angle`` (deg) about ``centre`` with 1 rad/s; its target is 0.
+
+    Returns the time (s) of the problem, or NaN.
+    """
+    middle, position, velocity = math.radians(centre), math.radians(centre), 1.0
+    end = cycles.now + seconds
+    while cycles.now < end:
+        position += velocity * PERIOD
+        if abs(position - middle) > math.radians(angle):
+            velocity = math.copysign(1.0, middle - position)
+        cycles.run(PERIOD, velocity, 0.0, position)
+        if cycles.problem:
+            return cycles.now
+    return math.nan
+
+
+def test_a_steering_joint_may_not_swing_about_another_angle() -> None:
+    """It turns towards its target half of the time, so that no deviation lasted."""
+    cycles = Cycles(make_axis("steering"))
+    assert swing(cycles, 12.0, 12.0, 10.0) < 2.5
+    assert cycles.problem == "the steering swings about another angle than its target"
+
+
+def test_a_steering_joint_may_swing_a_little_and_follow_a_stick() -> None:
+    cycles = Cycles(make_axis("steering"))
+    assert math.isnan(swing(cycles, 1.0, 4.0, 30.0))
+    position = target = 0.0
+    for k in range(3000):  # a stick from side to side, and a joint that is 0.1 s late
+        target = 0.6 * math.sin(4.0 * k * PERIOD)
+        late = 0.6 * math.sin(4.0 * (k * PERIOD - 0.1))
+        cycles.run(PERIOD, (late - position) / PERIOD, target, late)
+        position = late
+        assert cycles.problem == ""
+
+
 def test_a_wheel_that_stands_by_command_may_not_travel() -> None:
     cycles = Cycles(make_axis("propulsion"))
     cycles.run(0.9 * REST_TRAVEL / 0.25, 0.25, 0.0)

@@ -6,7 +6,8 @@ What is compared depends on what the motors are commanded to:
     FOLLOW         a wheel has one of the target speeds of the last half second, within a
                    tolerance, or brakes to rest from the speed with which it rolled without
                    torque;
-                   a steering joint is at its target angle or turns towards it;
+                   a steering joint is at its target angle or turns towards it, and does not
+                   swing about another angle;
                    a wheel that is commanded to stand does not travel;
                    its reports change when its target does
     HOME           the wheels stand as above; steering joints search their home positions
@@ -53,6 +54,11 @@ STOP_SHARE: Final = 0.5
 A loaded robot brakes more slowly, and more slowly still down a slope."""
 STOPPED: Final = 0.3
 """Speed (rad/s) below which a motor need not slow down any more in a stop."""
+SWING: Final = 0.5
+"""Travel (rad) of a steering joint away from a target that does not change, less SWING_DECAY for
+each second, that is no swing.  Only the travel far from the target counts, for a bump turns a
+wheel."""
+SWING_DECAY: Final = 0.1
 LONGEST_STEP: Final = 0.1
 """Longest time (s) between two control cycles in which a wheel counts as travelling."""
 TOO_FAST_TIME: Final = 0.15
@@ -185,6 +191,7 @@ class Follower:
         self._rolling = 0.0
         self._excess = 0.0
         self._travel = 0.0
+        self._steady = self._away = 0.0
         self._frozen_since = math.inf
         self._position = self._velocity = math.nan
         self._target_then = 0.0
@@ -198,6 +205,7 @@ class Follower:
         self._earlier.clear()
         # A wheel that rolled when its motor got torque brakes first.
         self._rolling = axis.velocity if not (axis.steering or axis.target) else 0.0
+        self._steady, self._away = axis.target, 0.0  # travel (rad) away from a steady target
         self._excess = 0.0  # travel (rad) of the present deviation beyond all recent targets
         self._travel = 0.0  # travel (rad) since the wheel is commanded to stand
         self._position = self._velocity = math.nan
@@ -220,6 +228,7 @@ class Follower:
             error = target - position
             approaches = velocity * error > 0.0 and abs(velocity) >= STANDING
             deviates = abs(error) > tolerance and not approaches
+            self._note_swing(now, target, error)
         else:
             measured, longest, tolerance = velocity, limits.speed_time, limits.speed
             deviates = self._wheel_deviates(now, target, velocity)
@@ -243,9 +252,22 @@ class Follower:
             if not (axis.steering or target or self._earlier):
                 return f"the {axis.channel} turns, although it is commanded to stand"
             return f"the {axis.channel} does not follow its target"
+        if self._away > SWING:
+            return f"the {axis.channel} swings about another angle than its target"
         if time - self._frozen_since > limits.time:
             return f"the {axis.channel} does not follow its target, and its reports do not change"
         return ""
+
+    def _note_swing(self, now: float, target: float, error: float) -> None:
+        """Sums up the travel of a steering joint away from a target that does not change."""
+        limit = 0.5 * self.axis.limits.angle
+        if abs(target - self._steady) > limit:
+            self._steady, self._away = target, 0.0
+        travel = self.axis.position - self._position
+        if travel * error < 0.0 and abs(error) > limit:
+            self._away += abs(travel)
+        self._away = max(self._away - SWING_DECAY * (now - self._commanded_at), 0.0)
+        self._commanded_at = now
 
     def _wheel_deviates(self, now: float, target: float, speed: float) -> bool:
         """Checks whether the speed of a wheel (rad/s) is beyond its targets of the last half second

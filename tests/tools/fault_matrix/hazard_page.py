@@ -70,8 +70,7 @@ FAULTS = (
             "a steering hunts about a wrong angle",
         ),
         (ROWS, f"{CAN}/test_disobedient_drives.py::test_a_drive_that_ignores_nmt_too_is_starved"),
-        "at rest, and while the target does not change, most of it shows nothing; a steering joint"
-        " of a Thorvald script that swings about a wrong angle is not noticed",
+        "at rest, and while the target does not change, most of it shows nothing",
     ),
     Hazard(
         "a wheel turns by itself",

@@ -24,6 +24,8 @@ MOVING_PHASES = (DRIVING, STOPPING)
 
 FROZEN_STEERING, FROZEN_WHEEL = 1.8, 0.7
 """Longest time (s) until a frozen encoder of a turning motor is detected."""
+SWINGING = 5.0
+"""Longest time (s) in which a steering joint that swings about a wrong angle is noticed."""
 NOT_FOLLOWING = 1.8
 """Longest time (s) until a drive that ignores its commands is detected."""
 CREEPING = 1.2
@@ -437,7 +439,8 @@ def _wrong_data_cases(target: _Target) -> Iterator[FaultCase]:
         number, angle = target.number(steering), math.radians(12.0)
         swing = partial(Rehearsal.hunt, node=node, channel=number, speed=1.0)
         hunts = partial(swing, offset=angle, angle=angle)
-        yield case("a steering hunts about a wrong angle", hunts, None, **later, observed=10.0)
+        later["braking"] = SWINGING
+        yield case("a steering hunts about a wrong angle", hunts, SWINGING, **later, observed=10.0)
 
 
 def _bus_cases(target: _Target) -> Iterator[FaultCase]:
