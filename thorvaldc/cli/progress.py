@@ -72,6 +72,7 @@ class StatusView:
         self._last_time = -math.inf
         self._line_shown = False
         self._versions_shown = 0
+        self._waits_for = ""
         self._end_shown = False
 
     def __enter__(self) -> StatusView:
@@ -94,6 +95,11 @@ class StatusView:
                 elapsed = change.time - session.start_time
                 message(f"{elapsed:8.2f} s  {change.state.value}{reason}")
             changes.clear()
+        if session.waits_for != self._waits_for:
+            self._waits_for = session.waits_for
+            if self._waits_for:
+                self._erase_line()
+                message(f"{session.elapsed:8.2f} s  waits, disarmed, until all controllers answer")
         if session.twist_ended and not self._end_shown:
             self._erase_line()
             message(f"{session.elapsed:8.2f} s  the twist has ended: {session.twist_ended}")

@@ -239,7 +239,9 @@ class RunSession:
         driven, base = self.driven, self.base
         state = driven.driver.state
         twist, pose = state.odometry.twist, state.pose
-        parts = [f"waits: {self.waits_for}" if self.waits_for else base.state.value]
+        if self.waits_for:
+            return f"waits: {self.waits_for}"
+        parts = [base.state.value]
         waits = base.state is BaseState.STANDBY and not base.state_machine.ending
         if waits or (driven.ready and not driven.armed):
             # The operator needs to know how to go on, and the robot stands where it was.
