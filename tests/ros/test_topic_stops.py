@@ -80,7 +80,7 @@ def test_a_second_of_wrong_joint_states_is_no_gap_of_the_computer() -> None:
     rig.change = lambda states: replace(states, speeds=[math.nan] * len(states.speeds))
     for _ in range(50):
         rig.step()
-    reason, _ = rig.driven.arming_reasons(rig.driven.now)  # and a motion is commanded
+    (reason,) = rig.driven.arming_reasons(rig.driven.now)
     assert "has the position" in reason
     assert "and the speed nan" in reason
     rig.change = lambda states: states
