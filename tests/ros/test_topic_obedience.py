@@ -152,6 +152,21 @@ def test_a_joint_that_moves_by_itself_is_named_at_rest(engine: Engine, armed: bo
     assert not any(rig.commanded)
 
 
+def test_an_engine_that_ignores_the_stop_of_another_fault_is_named_too() -> None:
+    rig = begin("4wd4ws_wide")
+    ignored = IgnoredCommands(rig)
+    ignored(rig.engine.read(rig.now))
+    rig.change = lambda states: None
+    assert fault_of(rig, 1.0) == "no joint states on /engine/joint_states"
+    rig.change = ignored
+    for _ in range(150):
+        rig.step()
+    fault = str(rig.driven.state()["fault"])
+    first, second = fault.split("; ")
+    assert first == "no joint states on /engine/joint_states"
+    assert second.startswith("by the joint states on /engine/joint_states, the joint ")
+
+
 def test_an_obedient_engine_is_not_blamed() -> None:
     """Turns, reversals and stops within the limits of the robot."""
     rig = begin("4wd4ws_wide")

@@ -253,6 +253,29 @@ def test_a_session_waits_for_drives_that_get_their_power_later(
     assert session.waits_for == ""
 
 
+def test_a_waiting_session_begins_no_start_up_under_a_commanded_motion(
+    robot: Robot, simulated: SimulatedRobot, interfaces: dict[str, CanInterface]
+) -> None:
+    for device in simulated.devices.values():
+        device.power_off()
+    session = RunSession(robot, interfaces, threaded=False)
+    source = session.driven.multiplexer.sources[0]
+    states = set()
+
+    def watch(driven: DrivenRobot, state: DriverState) -> None:
+        moves = session.elapsed < 15.0
+        driven.multiplexer.publish(source, Twist(0.3 if moves else 0.0, 0.0, 0.0), driven.now)
+        if 6.0 < session.elapsed < 15.0:
+            states.add(session.base.state)
+        if session.elapsed > 30.0:
+            session.request_stop()
+
+    session.run(watch)
+    assert states == {BaseState.FAULT}
+    changes = [change["state"] for change in session.summary()["changes"]]
+    assert changes.count("fault") <= 2, "those that are repeated while it waits are left out"
+
+
 def test_a_session_with_a_twist_does_not_wait_for_drives(
     robot: Robot, simulated: SimulatedRobot, interfaces: dict[str, CanInterface]
 ) -> None:

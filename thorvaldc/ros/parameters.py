@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 
 from thorvaldc.model import Robot
 from thorvaldc.model.settings import DRIVER, FOR_FILTERS, MEASURED, ODOM_FRAME
-from thorvaldc.runtime.pace import NORMAL_PERIODS, WATCHDOG_SHARE
+from thorvaldc.runtime.pace import TimeGapRule
 from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LARGEST, LIMITS, Parameters
 
 ParameterValue = str | bool | float
@@ -105,11 +105,11 @@ def default_silence(robot: Robot) -> float:
     Nothing stops its joints in the meantime, so that it is a share of the command time-out, which
     follows from the stopping distance of the robot where it has one.
     """
-    return max(WATCHDOG_SHARE * robot.driver.command_timeout, shortest_silence(robot))
+    return TimeGapRule.without_watchdog(robot.driver).longest_short
 
 
-def shortest_silence(robot: Robot) -> float:
-    return NORMAL_PERIODS / robot.driver.rate
+def _shortest_silence(robot: Robot) -> float:
+    return TimeGapRule.without_watchdog(robot.driver).normal
 
 
 _TIMEOUT = _bounds(lambda parameters: parameters.range_of(COMMAND_TIMEOUT))
@@ -136,8 +136,8 @@ PARAMETERS: tuple[NodeParameter, ...] = (
         "time of ROS without usable joint states after which the base `topics` is in a fault; at"
         " most the command time-out, by default half of it",
         "s",
-        lowest=shortest_silence,
-        highest=lambda robot: max(robot.driver.command_timeout, shortest_silence(robot)),
+        lowest=_shortest_silence,
+        highest=lambda robot: max(robot.driver.command_timeout, _shortest_silence(robot)),
     ),
     NodeParameter(
         "real_time_factor",

@@ -81,6 +81,7 @@ class TopicBase(BaseHandle):
         self._messages = 0
         self._waited_at = -1  # number of messages at the end of the last wait for nothing
         self._fault = ""
+        self._disobedience = ""
         self._refusal = ""
         drives, steering = wheel_joints(robot)
         self._axes = [
@@ -200,15 +201,16 @@ class TopicBase(BaseHandle):
 
     @property
     def disarming_reason(self) -> str:
-        return self._fault
+        # A joint that does not obey is named also in a fault of another kind.
+        return "; ".join(filter(None, (self._fault, self._disobedience)))
 
     @property
-    def longest_normal(self) -> float:
+    def longest_interval(self) -> float:
         return self._longest_silence + 3.0 * _LOOK  # a fault notices the silence before
 
     @property
     def _problem(self) -> str:
-        return self._fault or self.hold_reason
+        return self.disarming_reason or self.hold_reason
 
     @property
     def lacks_joint_states(self) -> bool:
@@ -225,8 +227,8 @@ class TopicBase(BaseHandle):
         return JointStates(now, unknown, unknown, unknown, unknown)
 
     def _measure(self, states: JointStates) -> None:
-        """Takes the motion of the motors from their positions, which odometry trusts too."""
-        positions = states.positions or states.speeds
+        """Takes the motion of the motors from their positions, as the odometry does."""
+        positions = states.positions or ()  # the reader refuses a message without them
         for axis in self._axes:
             if states.time > axis.time:
                 position = (states.angles if axis.steering else positions)[axis.wheel]
@@ -252,14 +254,15 @@ class TopicBase(BaseHandle):
 
     def disobeyed(self, deviations: Sequence[Deviation], now: float) -> None:
         motors = ", ".join(text for _, text in deviations)
-        self.fail(f"by the joint states on {self._topic}, {motors}")
+        if not self._disobedience:
+            self._disobedience = f"by the joint states on {self._topic}, {motors}"
 
     def reset(self, now: float, commanded: bool) -> str:
         if self._silence > self._longest_silence:
             return self._problem
         if commanded:
             return "a motion is commanded; command zero first"
-        self._fault = ""
+        self._fault = self._disobedience = ""
         return ""
 
     def values(self) -> dict[str, Any]:

@@ -279,7 +279,8 @@ def check_time(robot: ArmableRobot, now: float) -> Iterator[str]:
         yield fault
     gap = robot.timing.latest_gap
     if gap is not None and now - gap[0] < GAP_MEMORY:
-        yield (f"there was {gap_text(gap[1])}, {now - gap[0]:.1f} s ago; is the computer too busy?")
+        ago = now - gap[0]
+        yield f"there was {gap_text(gap[1])}, {ago:.1f} s ago; is the computer too busy?"
 
 
 PRE_ARM_CHECKS: tuple[PreArmCheck, ...] = (check_base, check_stops, check_commands, check_time)

@@ -138,7 +138,7 @@ class BaseHandle(abc.ABC):
         return False
 
     @property
-    def longest_normal(self) -> float | None:
+    def longest_interval(self) -> float | None:
         """Longest time (s) between two control cycles that is no gap, see ``pace``; ``None``: as it
         follows from the period."""
         return None

@@ -135,7 +135,7 @@ class BaseDriver:
         """Reason why the source that commands the twist moves nothing, or an empty text."""
         self._commanded_twist = ZERO_TWIST
         self._command_time = -math.inf
-        self.time_gaps = TimeGapRule.of(robot, self.settings, base.longest_normal)
+        self.time_gaps = TimeGapRule.of(robot, self.settings, base.longest_interval)
         self.permission = MotionPermission.of(robot)
         geometry = self.calculator.geometry
         self._ramp = Ramp(self.settings, geometry.length, geometry.steering_time)

@@ -222,10 +222,17 @@ class TimeGapRule:
         For a robot whose drives have no watchdog, the command time-out replaces the watchdog.
         ``normal``: longest time (s) without a gap, if it does not follow from the control cycle.
         """
+        rule = cls.without_watchdog(settings)
         watchdog = shortest_watchdog(robot)
-        watchdog = settings.command_timeout if watchdog is None else watchdog
-        normal = NORMAL_PERIODS / settings.rate if normal is None else normal
-        return cls(normal, max(WATCHDOG_SHARE * watchdog, normal))
+        longest = rule.longest_short if watchdog is None else WATCHDOG_SHARE * watchdog
+        normal = rule.normal if normal is None else normal
+        return cls(normal, max(longest, normal))
+
+    @classmethod
+    def without_watchdog(cls, settings: DriverSettings) -> TimeGapRule:
+        """Returns the limits for a robot whose joints keep their last commands."""
+        normal = NORMAL_PERIODS / settings.rate
+        return cls(normal, max(WATCHDOG_SHARE * settings.command_timeout, normal))
 
     def judge(self, elapsed: float, now: float = math.inf) -> Gap:
         """Judges the time ``elapsed`` (s) between two control cycles, of which one begins at

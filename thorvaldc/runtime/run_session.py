@@ -10,6 +10,7 @@ The command ``thorvaldc run`` uses ``RunSession``.  Example of a run in a Python
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import math
 from collections.abc import Callable, Mapping
@@ -197,13 +198,17 @@ class RunSession:
 
         A run that drives by itself does not wait: nobody expects the motion when the power comes.
         """
-        state_machine, fault = self.base.state_machine, self.base.state_machine.fault
-        if self._is_unattended or fault is None or fault.cause is not Cause.ABSENT:
-            if self.base.state not in (BaseState.INIT, BaseState.PREOP):
+        base, fault = self.base, self.base.state_machine.fault
+        if self._is_unattended or base.lost or fault is None or fault.cause is not Cause.ABSENT:
+            if base.state not in (BaseState.INIT, BaseState.PREOP):
                 self.waits_for = ""
             return False
-        self.waits_for = fault.text
-        return not state_machine.reset(self.driven.now, False)
+        again, self.waits_for = fault.text == self.waits_for, fault.text
+        with contextlib.suppress(RequestRefused):  # a motion is commanded: wait for zero, too
+            self.driven.reset()
+            if again:
+                del base.changes[-2:]  # the same fault and the same start as before
+        return True
 
     def is_news(self, change: StateChange) -> bool:
         """Checks whether a change of the state is not one of a start-up that begins again."""
