@@ -8,7 +8,7 @@ Steps of an estimate (the module ``twist_fit`` derives the equations):
    option ``EstimatorOptions.polish`` adds more Gauss-Newton steps.
 3.  A chi-square test compares the measurements of each wheel with the measurements of all other
     wheels.
-4.  If a wheel fails its test, ``wheel_rejection`` searches for the faulty wheels.
+4.  If a wheel fails its test, ``wheel_causes`` searches for the faulty wheels.
 
 For every wheel that does not swivel, a side slip of 0 counts as a measurement.  Every wheel with an
 encoder measures its rolling speed.  If the contact of a wheel lies beside or behind its steering
@@ -30,7 +30,7 @@ from typing import Final, NamedTuple
 from thorvaldc.model.spatial import symmetric_eigenvalues
 from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates, NotFiniteError
-from thorvaldc.runtime.calculators import wheel_rejection
+from thorvaldc.runtime.calculators import wheel_causes
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.twist_fit import (
     ROLL_AND_SIDE,
@@ -46,7 +46,6 @@ from thorvaldc.runtime.calculators.twist_fit import (
     WheelConstants,
     chi_squares,
     fit_twist,
-    misfit,
     solve3,
     unweighted_normal_equations,
 )
@@ -86,6 +85,7 @@ class TwistEstimate(NamedTuple):
     chi_squares: tuple[float, ...] = ()
     dropped: tuple[int, ...] = ()
     suspects: tuple[int, ...] = ()
+    spinning: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,6 @@ class TwistEstimator:
       matrix.  ``inverse`` is ``None`` if the matrix depends on the steering angles.
     - ``least_deviation``: distance (rad/s) of all speeds from the commands below which each wheel
       follows its command.
-    - ``least_command``: speed (rad/s) below which no wheel can contradict its command.
     - ``prior``: prior information (inverse variances) about the velocity and the yaw rate.  The
       estimator uses the prior only if the joint states do not determine the whole twist.
     """
@@ -172,8 +171,7 @@ class TwistEstimator:
         self.gates = tuple(gate2 if w.flags == ROLL_AND_SIDE else gate1 for w in wheels)
         self._price = gate1
         largest_radius = max((w.radius for w in wheels if w.radius), default=1.0)
-        self.least_deviation = wheel_rejection.FOLLOWING_FLOOR / largest_radius
-        self.least_command = wheel_rejection.COMMANDED_SPEED / largest_radius
+        self.least_deviation = wheel_causes.FOLLOWING_FLOOR / largest_radius
         self._all_measure = len(wheels) == self._n
         self.inverse = self._constant_inverse()
 
@@ -491,47 +489,35 @@ class TwistEstimator:
         If no combination of faulty wheels explains the misfit, the estimate uses all wheels and has
         a larger covariance.
         """
-        yaw_rate = states.yaw_rate
-        doubts, speeds = wheel_rejection.Suspicion(False, False, (), ()), []
+        yaw_rate, turning = states.yaw_rate, []
         if commanded is not None:
-            turning = [
-                (w.radius, states.speeds[w.number], commanded[w.number]) for w in self.wheels
-            ]
-            doubts = wheel_rejection.suspicion([(r * v, r * target) for r, v, target in turning])
-            # The contact of a wheel beside its steering axis also moves with the steering joint.
-            speeds = [
-                m[5] + r * (target - v)
-                for m, (r, v, target) in zip(measurements, turning, strict=True)
-            ]
-        steps = 1 + self.options.polish
-        fits = wheel_rejection.HypothesisFits(
-            self._solve, self.squares, prior, self.prior, yaw_rate, steps, speeds
+            for w in self.wheels:
+                i = w.number
+                turning.append((w.radius * states.speeds[i], w.radius * commanded[i]))
+        against = wheel_causes.contradiction(fit, measurements, turning)
+        if not (disagree or against.doubtful):
+            return self._result(fit, tests, rank)
+        fits = wheel_causes.Fits(
+            self._solve, self.squares, prior, self.prior, yaw_rate, 1 + self.options.polish
         )
-        if not disagree:
-            doubted = wheel_rejection.doubted_wheels(fit, doubts)
-            if not doubted:
-                return self._result(fit, tests, rank)
-            covered = wheel_rejection.covering(fit, [1.0], [fits.without_encoders(measurements)])
-            return self._result(covered, tests, rank, (), doubted)
-        search = wheel_rejection.HypothesisSearch(
-            self.gates, self._price, self.options.faulty, doubts, fits
+        search = wheel_causes.CauseSearch(
+            self.gates, self._price, self.options.faulty, against, fits
         )
-        hypotheses = search.likely_hypotheses(measurements, fit)
+        hypotheses = search.likely_hypotheses(measurements, fit, disagree)
         if not hypotheses:
             rows = sum((m[0] & USE_ROLL > 0) + (m[0] & USE_SIDE > 0) for m in measurements)
             freedom = rows + (yaw_rate is not None) - rank
             # The reduced chi-square is the factor by which the measured variance exceeds the
             # assumed variance.
-            growth = max(1.0, misfit(fit) / max(freedom, 1))
-            covered = wheel_rejection.covering(
-                fit, [growth, 1.0], [fit, fits.without_encoders(measurements)]
-            )
+            growth = max(1.0, fits.misfit(fit) / max(freedom, 1))
+            commands = search.encoders_wrong(wheel_causes.encoders(measurements), measurements)[1]
+            fit = wheel_causes.with_covariance(fit, growth)
+            covered = wheel_causes.covering(fit, [1.0, 1.0], [fit, commands])
             failed = [k for k, d in enumerate(tests) if d > self.gates[k]]
             return self._result(covered, tests, rank, (), failed)
-        mean, probability = wheel_rejection.mixture(hypotheses)
-        faulty = wheel_rejection.faulty_wheels(hypotheses, probability)
-        suspects = () if faulty else {k for h in hypotheses for k in h.rejected}
-        return self._result(mean, chi_squares(hypotheses[0].fit), rank, faulty, tuple(suspects))
+        mean, left_out, suspects, spinning = wheel_causes.mixture(hypotheses)
+        tests = chi_squares(hypotheses[0].fit)
+        return self._result(mean, tests, rank, left_out, suspects, spinning)
 
     def _result(
         self,
@@ -540,10 +526,11 @@ class TwistEstimator:
         rank: int,
         dropped: Sequence[int] = (),
         suspects: Sequence[int] = (),
+        spinning: Sequence[int] = (),
     ) -> TwistEstimate:
         """Returns the estimate at ``base_link``.
 
-        - ``dropped``, ``suspects``: indices of measurements.
+        - ``dropped``, ``suspects``, ``spinning``: indices of measurements.
 
         A fit about the centroid (xm, ym) with the twist xi and the covariance P is converted to
         ``base_link`` by xi' = A xi and P' = A P A', with A = [1 0 ym; 0 1 -xm; 0 0 1].
@@ -569,8 +556,11 @@ class TwistEstimator:
         # Calling a class of named tuples takes twice as long as making the tuple directly.
         new = tuple.__new__
         twist = new(Twist, (vx, vy, wz))
-        if dropped or suspects:
+        if dropped or suspects or spinning:
             numbers = [wheel.number for wheel in self.wheels]
             dropped = tuple(sorted(numbers[k] for k in dropped))
             suspects = tuple(sorted(numbers[k] for k in suspects))
-        return new(TwistEstimate, (twist, covariance, rank, tuple(tests), dropped, suspects))
+            spinning = tuple(sorted(numbers[k] for k in spinning))
+        return new(
+            TwistEstimate, (twist, covariance, rank, tuple(tests), dropped, suspects, spinning)
+        )
