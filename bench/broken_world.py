@@ -26,12 +26,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bench import world_robots
+from bench import broken_sensors, world_robots
 from bench.figure import Figure
 from bench.healthy_readings import HealthyFit, healthy_fit
-from bench.world_breaks import AT_REST, CASES, CLASSES, Case, World, body_of
+from bench.recorded_trials import Array, Recording, logarithm
+from bench.world_breaks import AT_REST, CASES, CLASSES, GOOD_GROUND, Case, World, body_of
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise, TwistEstimate
@@ -39,10 +39,9 @@ from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.odometry import Odometry
 from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2, Twist
+from thorvaldc.simulation.physics.sim_base import WheelErrors
 
 GROUP = "long"
-
-Array = NDArray[np.float64]
 
 TRIALS, SAMPLE = 400, 40
 """Trials of the figures, and of ``record``."""
@@ -52,30 +51,6 @@ BREAKS = (0.9, 1.7)
 CASE_FAMILY = "4 steered, wide"
 _BOUND = 16.266
 """99.9 % quantile of the chi-square distribution with 3 degrees of freedom."""
-
-
-class Recording(NamedTuple):
-    """Trials of a family and a class: n ticks of w wheels.
-
-    - ``times`` (n): s.
-    - ``speeds``, ``angles``, ``rates``, ``positions`` (trials, n, w): joint states in rad and s.
-    - ``commanded`` (trials, n, w): commanded speeds (rad/s) when the driver read these states.
-    - ``torques`` (trials, n, w): torques of the drives relative to their limits.
-    - ``poses`` (trials, n, 3): true pose of ``base_link``; the yaw is not wrapped.
-    - ``yaw_rates`` (trials, n): true yaw rate, rad/s.
-    - ``breaks`` (trials): tick of the break.
-    """
-
-    times: Array
-    speeds: Array
-    angles: Array
-    rates: Array
-    positions: Array
-    commanded: Array
-    torques: Array
-    poses: Array
-    yaw_rates: Array
-    breaks: NDArray[np.int64]
 
 
 class Share(NamedTuple):
@@ -101,29 +76,41 @@ class Share(NamedTuple):
 def record(world: World, name: str, trials: int) -> Recording:
     """Returns recorded trials of a class or case."""
     rows = [_trial(world, name, number) for number in range(trials)]
-    times = np.arange(len(rows[0][0])) / world.robot.driver.rate
-    joints = np.array([row[0] for row in rows])
-    poses = np.array([row[1] for row in rows])
+    joints = np.array([row.joints for row in rows])
+    poses = np.array([row.poses for row in rows])
     poses[:, :, 2] = np.unwrap(poses[:, :, 2], axis=1)
     return Recording(
-        times,
-        *(joints[:, :, k] for k in range(6)),
-        poses,
-        np.array([row[2] for row in rows]),
-        np.array([row[3] for row in rows]),
+        times=np.arange(poses.shape[1]) / world.robot.driver.rate,
+        speeds=joints[:, :, 0],
+        angles=joints[:, :, 1],
+        rates=joints[:, :, 2],
+        positions=joints[:, :, 3],
+        commanded=joints[:, :, 4],
+        torques=joints[:, :, 5],
+        poses=poses,
+        yaw_rates=np.array([row.yaw_rates for row in rows]),
+        breaks=np.array([row.broken_at for row in rows]),
+        changes=np.array([row.change for row in rows]),
     )
 
 
-def _trial(
-    world: World, name: str, number: int
-) -> tuple[list[list[Sequence[float]]], list[Pose2], list[float], int]:
-    """Returns joint values, poses and yaw rates of all ticks, and the tick of the break."""
+class _Trial(NamedTuple):
+    """The lists have one entry for each tick; ``joints``: six lists of values of all wheels."""
+
+    joints: list[list[Sequence[float]]]
+    poses: list[Pose2]
+    yaw_rates: list[float]
+    broken_at: int
+    change: str
+
+
+def _trial(world: World, name: str, number: int) -> _Trial:
     robot = world.robot
     rng = random.Random(f"{robot.name} {name} {number}")
     case = CASES.get(name)
     grip = np.mean([wheel.load * wheel.radius for wheel in robot.wheels if wheel.driven])
     torque = case.torque if case else rng.uniform(0.2, 1.3) * float(grip)
-    base = world.restart(torque)
+    base = world.restart(torque, _wheel_errors(rng, robot))
     driver = BaseDriver(robot, base)
     dt = 1.0 / robot.driver.rate
     broken_at = round(rng.uniform(*BREAKS) / dt)
@@ -164,7 +151,16 @@ def _trial(
         yaw_rates.append(base.true_twist().wz)
         driver.command(twists[0] if now < twists[1] else twists[2], now)
         driver.tick(now, joints)
-    return rows, poses, yaw_rates, broken_at
+    return _Trial(rows, poses, yaw_rates, broken_at, str(change))
+
+
+def _wheel_errors(rng: random.Random, robot: Robot) -> WheelErrors:
+    """Returns wrong radii and steering zeros, half as large as the noise model states."""
+    noise = Noise(**dict(robot.driver.noise))
+    return WheelErrors(
+        tuple(1.0 + rng.gauss(0.0, noise.speed_ratio / 2.0) for _ in robot.wheels),
+        tuple(rng.gauss(0.0, noise.angle / 2.0) for _ in robot.wheels),
+    )
 
 
 def _twists(
@@ -195,15 +191,6 @@ def _random_twist(driver: BaseDriver, rng: random.Random) -> Twist:
             return twist
 
 
-def save(recording: Recording, path: Path) -> None:
-    np.savez_compressed(path, **recording._asdict())
-
-
-def load(path: Path) -> Recording:
-    with np.load(path) as arrays:
-        return Recording(**{name: arrays[name] for name in Recording._fields})
-
-
 # -- evaluation ---------------------------------------------------------------------------------
 
 
@@ -226,21 +213,6 @@ class _Oracle(_Replay):
         return self.estimate
 
 
-def joint_states(recording: Recording, trial: int, gyro: Array | None) -> list[JointStates]:
-    """Returns all joint states of a trial; ``gyro``: measured yaw rates (rad/s)."""
-    return [
-        JointStates(
-            float(recording.times[k]),
-            recording.speeds[trial, k].tolist(),
-            recording.angles[trial, k].tolist(),
-            recording.rates[trial, k].tolist(),
-            recording.positions[trial, k].tolist(),
-            None if gyro is None else float(gyro[k]),
-        )
-        for k in range(len(recording.times))
-    ]
-
-
 def evaluate(robot: Robot, recording: Recording, *, gyro: bool) -> Share:
     """Returns the shares of a recording with the estimator of this robot."""
     geometry, noise = BaseGeometry.from_robot(robot), Noise(**dict(robot.driver.noise))
@@ -250,58 +222,32 @@ def evaluate(robot: Robot, recording: Recording, *, gyro: bool) -> Share:
         errors = np.random.default_rng(5).standard_normal((trials, n))
         measured = recording.yaw_rates + noise.gyro * errors
     fit = healthy_fit(geometry, noise, recording, measured)
-    true = _mean_twists(recording)
+    true = recording.true_twists()
     counts, tick_counts, squares = np.zeros(2), np.zeros(3), []
     for trial in range(trials):
         first = int(recording.breaks[trial])
-        states = joint_states(recording, trial, None if measured is None else measured[trial])
+        states = recording.joint_states(trial, None if measured is None else measured[trial])
         odometry = Odometry(_Replay(geometry, None, noise), robot.driver.top_speeds)
         estimates = _replayed(odometry, states, recording.commanded[trial], first)
-        hidden = fit.is_healthy[trial, first:]
+        healthy = fit.is_healthy[trial, first:]
         errors = true[trial, first:] - np.array([e.twist for e in estimates])
         covariances = np.array([e.covariance for e in estimates])
         solved = np.linalg.solve(covariances, errors[:, :, np.newaxis])[:, :, 0]
         square = (errors * solved).sum(1)
         squares.append(square)
-        outside = square > _BOUND
+        wrong = square > _BOUND
         unnamed = np.array([not (e.dropped or e.suspects) for e in estimates])
         tick_counts += np.array(
-            [(outside & ~hidden).sum(), (outside & hidden).sum(), (outside & unnamed).sum()]
+            [(wrong & ~healthy).sum(), (wrong & healthy).sum(), (wrong & unnamed).sum()]
         )
         if _is_outside(odometry, recording, trial):
             oracle = _oracle(geometry, noise, robot, fit, true, trial, states, first)
             counts[int(_is_outside(oracle, recording, trial))] += 1
     all_squares = np.concatenate(squares)
-    return Share(
-        *(100.0 * counts / trials).tolist(),
-        *(100.0 * tick_counts / len(all_squares)).tolist(),
-        float(all_squares.mean()) / 3.0,
-    )
-
-
-def _mean_twists(recording: Recording) -> Array:
-    """Returns the mean twists (trials, n - 1, 3) of the true motion between two ticks."""
-    poses, dt = recording.poses, np.diff(recording.times)
-    change = np.diff(poses, axis=1)
-    c, s = np.cos(poses[:, :-1, 2]), np.sin(poses[:, :-1, 2])
-    motions = np.stack(
-        [
-            c * change[:, :, 0] + s * change[:, :, 1],
-            c * change[:, :, 1] - s * change[:, :, 0],
-            change[:, :, 2],
-        ],
-        axis=2,
-    )
-    twists: Array = _logarithm(motions) / dt[:, np.newaxis]
-    return twists
-
-
-def _logarithm(motions: Array) -> Array:
-    """Returns the twists (..., 3) that cause these relative poses within 1 s."""
-    x, y, yaw = np.moveaxis(motions, -1, 0)
-    half = yaw / 2.0
-    k = np.where(np.abs(half) > 1e-6, half / np.tan(np.where(half, half, 1.0)), 1.0)
-    return np.stack([k * x + half * y, k * y - half * x, yaw], axis=-1)
+    outside, hidden = (100.0 * counts / trials).tolist()
+    ticks, hidden_ticks, silent = (100.0 * tick_counts / len(all_squares)).tolist()
+    nees = float(all_squares.mean()) / 3.0
+    return Share(outside, hidden, ticks, hidden_ticks, silent, nees)
 
 
 def _replayed(
@@ -353,7 +299,7 @@ def _is_outside(odometry: Odometry, recording: Recording, trial: int) -> bool:
     """Returns whether the pose at the end lies outside of its 99.9 % bound."""
     start = Pose2(*recording.poses[trial, recording.breaks[trial]].tolist())
     end = Pose2(*recording.poses[trial, -1].tolist()).relative_to(start)
-    error = _logarithm(np.array(end.relative_to(odometry.pose)))
+    error = logarithm(np.array(end.relative_to(odometry.pose)))
     return bool(error @ np.linalg.solve(np.array(odometry.covariance), error) > _BOUND)
 
 
@@ -370,38 +316,48 @@ def figures() -> Iterator[Figure]:
         robot, files = world_robots.robot(family)
         world = World(robot, files)
         for name in classes_of(family):
-            recording = record(world, name, TRIALS)
-            for gyro in (False, True):
-                share = evaluate(robot, recording, gyro=gyro)
-                title = f"{name}, {family}{', gyro' * gyro}: outside"
-                how = (
-                    f"poses of {TRIALS} trials at the 99.9 % bound; hidden {share.hidden:.1f} %;"
-                    f" ticks {share.ticks:.1f} %, hidden {share.hidden_ticks:.1f} %, silent"
-                    f" {share.silent:.1f} %; NEES/3 {share.nees:.2f}"
-                )
-                yield Figure(title, share.trials, "%", 1.0, "lower", how)
+            for broken, recording in _with_sensors(robot, name, record(world, name, TRIALS)):
+                for gyro in (False, True):
+                    share = evaluate(robot, recording, gyro=gyro)
+                    title = f"{broken}, {family}{', gyro' * gyro}: outside"
+                    how = (
+                        f"poses of {TRIALS} trials, 99.9 % bound; hidden {share.hidden:.1f} %;"
+                        f" ticks {share.ticks:.1f} %, hidden {share.hidden_ticks:.1f} %, silent"
+                        f" {share.silent:.1f} %; NEES/3 {share.nees:.3g}"
+                    )
+                    yield Figure(title, share.trials, "%", 1.0, "lower", how)
+
+
+def _with_sensors(robot: Robot, name: str, recording: Recording) -> Iterator[tuple[str, Recording]]:
+    """Returns a recording, and that of good ground also with broken sensors."""
+    yield name, recording
+    if name == GOOD_GROUND:
+        geometry = BaseGeometry.from_robot(robot)
+        for broken in broken_sensors.CLASSES:
+            yield broken, broken_sensors.broken(recording, geometry, broken)
 
 
 def main(step: str, folder: str, *texts: str) -> None:
     if step == "record":
         for family in world_robots.NAMES:
             if not texts or any(text in family for text in texts):
-                robot, files = world_robots.robot(family)
-                world = World(robot, files)
+                world = World(*world_robots.robot(family))
                 for name in classes_of(family):
-                    save(record(world, name, SAMPLE), Path(folder, f"{family}; {name}.npz"))
+                    record(world, name, SAMPLE).save(Path(folder, f"{family}; {name}.npz"))
         return
-    robots: dict[str, Robot] = {}
-    print(f"{'trials':>48}{'hidden':>8}{'ticks':>8}{'hidden':>8}{'silent':>8}{'NEES/3':>10}")
+    print(f"{'trials':>54}{'hidden':>8}{'ticks':>8}{'hidden':>8}{'silent':>8}{'NEES/3':>10}")
     for path in sorted(Path(folder).glob("*.npz")):
-        if all(text in path.stem for text in texts):
-            family = path.stem.split("; ")[0]
-            robot = robots.setdefault(family, world_robots.robot(family)[0])
-            for gyro in (False, True):
-                share = evaluate(robot, load(path), gyro=gyro)
-                numbers = "".join(f"{value:8.1f}" for value in share[:5])
-                name = f"{path.stem}{', gyro' * gyro}"
-                print(f"{name:<40}{numbers}{share.nees:10.3g}", flush=True)
+        family, name = path.stem.split("; ")
+        if name != GOOD_GROUND and not all(text in path.stem for text in texts):
+            continue
+        robot, _ = world_robots.robot(family)
+        for broken, recording in _with_sensors(robot, name, Recording.load(path)):
+            title = f"{family}; {broken}"
+            if all(text in title for text in texts):
+                for gyro in (False, True):
+                    share = evaluate(robot, recording, gyro=gyro)
+                    numbers = "".join(f"{value:8.1f}" for value in share[:5])
+                    print(f"{title + ', gyro' * gyro:<46}{numbers}{share.nees:10.3g}", flush=True)
 
 
 if __name__ == "__main__":

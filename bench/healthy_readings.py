@@ -98,7 +98,7 @@ def _solved(h: Array, z: Array, variances: Array) -> tuple[Array, Array]:
     weighted = h / variances[..., np.newaxis]
     # A small part of the diagonal is for motions that no wheel measures.
     information = np.swapaxes(weighted, -1, -2) @ h + 1e-3 * np.eye(3)
-    covariances = np.linalg.inv(information)
+    covariances = np.asarray(np.linalg.inv(information), np.float64)
     right = np.swapaxes(weighted, -1, -2) @ z[..., np.newaxis]
     return (covariances @ right)[..., 0], covariances
 

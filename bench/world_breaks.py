@@ -24,6 +24,7 @@ from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.simulation.physics.drive_servos import IMPEDANCE
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
+from thorvaldc.simulation.physics.sim_base import WheelErrors
 
 _WALL = "bench_wall"
 _WALL_SIZE = (0.5, 20.0, 2.0)
@@ -156,8 +157,9 @@ def _mud(rng: random.Random, body: Body) -> Break:
     )
 
 
+GOOD_GROUND = "good ground"
 CLASSES: dict[str, Draw] = {
-    "good ground": _nothing,
+    GOOD_GROUND: _nothing,
     "ice": _ice,
     "wall": _wall,
     "wall and ice": _wall_and_ice,
@@ -217,7 +219,7 @@ class World:
                 self._drives.append((i, scene.index("actuator", name, robot)))
         self.base = MujocoBase(robot, scene)
 
-    def restart(self, torque: float) -> MujocoBase:
+    def restart(self, torque: float, errors: WheelErrors) -> MujocoBase:
         """Returns a base at rest on good ground, with this largest torque (N m) of the drives."""
         for array, values in zip(self._changed, self._whole, strict=True):
             array[:] = values
@@ -226,7 +228,7 @@ class World:
         self.scene.data.mocap_pos[self._wall] = _AWAY
         self.scene.reset()
         self.scene.data.mocap_pos[self._wall] = _AWAY
-        self.base = MujocoBase(self.robot, self.scene)
+        self.base = MujocoBase(self.robot, self.scene, wheel_errors=errors)
         return self.base
 
     def torques(self, limit: float) -> list[float]:
