@@ -32,8 +32,10 @@ _AWAY = (0.0, 0.0, -100.0)
 _WALL_FRICTION = 0.3
 _UNMOVABLE = 1e5
 """Friction (N) of a body that no robot moves."""
-_PULL_GAIN = 5.0
+_PULL_GAIN = 25.0
 """Gain (1/s) of a pull: force per mass and difference of velocities."""
+_HITCH_HEIGHT = 0.1
+"""Height (m) of the hitch, at which no robot falls over."""
 
 
 class Break(NamedTuple):
@@ -282,7 +284,8 @@ class World:
         # The force acts in the centre of mass of the body, and the torque moves it to the hitch.
         centre = data.xipos[self._body].tolist()
         rx, ry = pose.x + c * x - s * y - centre[0], pose.y + s * x + c * y - centre[1]
-        data.xfrc_applied[self._body] = (fx, fy, 0.0, 0.0, 0.0, rx * fy - ry * fx)
+        rz = _HITCH_HEIGHT - centre[2]
+        data.xfrc_applied[self._body] = (fx, fy, 0.0, -rz * fy, rz * fx, rx * fy - ry * fx)
 
     def _put_wall(self, direction: float) -> None:
         """Puts the wall directly ahead of the foremost point of the robot."""
