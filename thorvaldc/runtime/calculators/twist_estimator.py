@@ -501,7 +501,7 @@ class TwistEstimator:
             self._solve, self.squares, prior, self.prior, yaw_rate, 1 + self.options.polish
         )
         search = wheel_causes.CauseSearch(
-            self.gates, self._price, self.options.faulty, against, fits
+            self.gates, self._price, self.options.faulty, self.length2, against, fits
         )
         hypotheses = search.likely_hypotheses(measurements, fit, disagree)
         if not hypotheses:

@@ -110,6 +110,7 @@ _CREDIBLE: Final = 6.63
 
 The number is the 1 % quantile of the chi-square distribution with 1 degree of freedom.
 """
+_DRAGGED: Final = 2.0
 _NEGLIGIBLE: Final = 9.2
 """A hypothesis has a weight below 1 % if its cost exceeds the smallest cost by this difference."""
 _LEAST_WEIGHT: Final = 0.25
@@ -308,12 +309,14 @@ class CauseSearch:
         gates: Sequence[float],
         price: float,
         max_wrong: int,
+        length2: float,
         against: Contradiction,
         fits: Fits,
     ) -> None:
         self._gates = gates
         self._price = price
         self._max_wrong = max_wrong
+        self._length2 = length2
         self._against = against
         self._fits = fits
 
@@ -326,10 +329,13 @@ class CauseSearch:
         its gate.  Returns an empty list if no hypothesis explains the misfit.
         """
         healthy = self._wrong_wheels((), measurements, fit)
-        whole = self._whole_robot(measurements)
+        whole = self._wrong_encoders(measurements)
+        sliding = self._sliding(measurements) if self._against.wheels or self._against.commands else None
         found = [healthy, *whole]
+        if sliding is not None:
+            found.append(sliding)
         if disagree:
-            known = [{*h.wrong, *h.spinning} for h in whole]
+            known = [{*h.wrong} for h in whole if h.wrong]
             singles = self._one_more_wrong(healthy, known)
             singles.sort(key=_cost)
             found += singles
@@ -361,8 +367,8 @@ class CauseSearch:
         speeds = {k: (commands[k], following_error(commands[k]) ** 2) for k in wheels}
         return self._fits.replaced(measurements, speeds)
 
-    def _whole_robot(self, measurements: list[Measurement]) -> list[Hypothesis]:
-        """Returns the hypotheses 3 and 4: the encoders of N are wrong, or all other wheels spin."""
+    def _wrong_encoders(self, measurements: list[Measurement]) -> list[Hypothesis]:
+        """Returns the hypothesis 3: the encoders of N are wrong, and perhaps one more."""
         wheels = self._against.wheels
         others = tuple(k for k in encoders(measurements) if k not in wheels)
         if not wheels or not (others or self._against.commands):
@@ -378,18 +384,56 @@ class CauseSearch:
                 found.append(
                     self._priced(more, (), used, fit, disagreement, price + self._price)
                 )
-        if not others:
-            return found
-        speeds = {}
-        for k in wheels:
-            speeds[k] = (measurements[k][5], following_error(measurements[k][5]) ** 2)
-        used, fit, disagreement = self._fits.replaced(measurements, speeds, others)
-        held = self._priced((), others, used, fit, disagreement, _SPINNING)
-        half = max(abs(m[5]) for m in measurements) / 2.0
-        for k in others:
-            fit = add_rolling_speed(fit, k, measurements[k][5] / 2.0, half * half)
-        found.append(held._replace(fit=fit))
         return found
+
+    def _sliding(self, measurements: list[Measurement]) -> Hypothesis | None:
+        """Returns the hypothesis 4: the robot is held or pulled, and the wheels slide.
+
+        Returns ``None`` if no wheel and no gyro contradicts the commands.
+        """
+        against, yaw_rate = self._against, self._fits.yaw_rate
+        every = encoders(measurements)
+        others = tuple(k for k in every if k not in against.wheels)
+        used, fit, _ = self.encoders_wrong(every, measurements)
+        vx, vy, wz = fit[:3]
+        length = math.sqrt(self._length2)
+        fastest = max((abs(measurements[k][5]) for k in every), default=0.0)
+        share, deviation = 0.0, fastest
+        if against.commands:
+            share, deviation = 1.0, 0.0
+            for k in against.wheels:
+                measured, command = measurements[k][5], against.commands[k]
+                if abs(measured - command) > deviation:
+                    deviation = abs(measured - command)
+                    share = measured / command if abs(command) > _COMMANDED_SPEED else 1.0
+                    if abs(command) <= _COMMANDED_SPEED:
+                        deviation *= _DRAGGED
+            fastest = max(fastest, *(abs(against.commands[k]) for k in every))
+            if yaw_rate is not None:
+                turning = length * abs(yaw_rate - wz)
+                noise = 3.0 * length * math.sqrt(self._fits.squares[5])
+                if turning > following_error(length * wz) + noise:
+                    deviation = max(fastest, _DRAGGED * turning)
+                    if length * abs(wz) > _COMMANDED_SPEED:
+                        share = yaw_rate / wz
+        if not deviation:
+            return None
+        share = min(max(share, -1.0), 2.0)
+        variance = (deviation * 0.5) ** 2
+        angular = variance / self._length2
+        vx, vy, wz = share * vx, share * vy, share * wz
+        price = _SPINNING
+        if yaw_rate is not None:
+            noise = self._fits.squares[5]
+            total = angular + noise
+            price += min(
+                (yaw_rate - wz) ** 2 / total + math.log(total / noise),
+                yaw_rate * yaw_rate / (noise + 0.0004),
+            )
+            wz += angular / total * (yaw_rate - wz)
+            angular *= noise / total
+        fit = Fit(vx, vy, wz, variance, 0.0, 0.0, variance, 0.0, angular, fit.measurements)
+        return Hypothesis((), others or every, used, fit, fit, price, 0.0)
 
     def _priced(
         self,
@@ -497,9 +541,9 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> Mixture:
     the mean xi = sum p_i xi_i and the covariance P = sum p_i (P_i + (xi_i - xi) (xi_i - xi)').
     """
     best = hypotheses[0]
-    left_out = (*best.wrong, *best.spinning)
+    left_out = best.wrong
     if len(hypotheses) == 1:
-        return Mixture(best.fit, left_out, (), ())
+        return Mixture(best.fit, left_out, (), best.spinning)
     weights = [math.exp((best.cost - h.cost) / 2.0) for h in hypotheses]
     total = float_sum(weights)
     probabilities = [weight / total for weight in weights]
@@ -512,7 +556,7 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> Mixture:
     # Nothing is left out on the word of a motor that turns as commanded.
     undecided = any(h.spinning for h in hypotheses)
     least = _MIN_PAIR_PROBABILITY if len(left_out) > 1 or undecided else _MIN_PROBABILITY
-    if not left_out or probabilities[0] > least:
+    if probabilities[0] > least and not best.spinning:
         return Mixture(mean, left_out, (), ())
     suspects = {k for h in hypotheses for k in h.wrong}
     spinning = {k for h in hypotheses for k in h.spinning}
