@@ -17,6 +17,11 @@ LONGEST_INTERVAL: Final = 0.5
 """Longest interval (s) between two joint states over which the odometry integrates the motion."""
 LOW_RANK_CORRELATION: Final = 10.0
 """Correlation time (s) of the velocity errors in directions that no wheel measures."""
+UNDECIDED_CORRELATION: Final = 1000.0
+"""Correlation time (s) of the errors while the wheels do not tell which of them are wrong.
+
+The same hypothesis is right for as long as the cause lasts.
+"""
 _TIME_CONSTANT: Final = 2.0
 """Time constant (s) of the share of time in which a wheel is left out or doubted."""
 _WARNED_SHARE: Final = 0.5
@@ -187,33 +192,54 @@ class WheelWarnings:
     def __init__(self) -> None:
         self._dropped: dict[int, float] = {}
         self._suspects: dict[int, float] = {}
+        self._sliding: dict[int, float] = {}
         self._time = math.inf
 
     def update(self, estimate: TwistEstimate, time: float) -> None:
         """Adds the estimate of a tick with joint states that were measured at ``time`` (s)."""
-        if estimate.dropped or estimate.suspects or self._dropped or self._suspects:
+        named = estimate.dropped or estimate.suspects or estimate.sliding
+        if named or self._dropped or self._suspects or self._sliding:
             elapsed = max(time - self._time, 0.0)
             gain = elapsed / (_TIME_CONSTANT + elapsed)
             _update(self._dropped, estimate.dropped, gain)
             _update(self._suspects, estimate.suspects, gain)
+            _update(self._sliding, estimate.sliding, gain)
         self._time = time
 
     def texts(self, names: Sequence[str]) -> list[str]:
         """Returns the present warnings for an operator; ``names``: names of all wheels."""
         warnings = []
         if dropped := _lasting(self._dropped):
-            wheels = ", ".join(names[i] for i in dropped)
             warnings.append(
-                f"odometry: left out {wheels}: the speed or direction disagrees with the other"
-                " wheels or with the command; check the encoders"
+                f"odometry: left out {_listed(dropped, names)}: the speed or direction disagrees"
+                " with the other wheels or with the command; check the encoders"
             )
-        if suspects := [i for i in _lasting(self._suspects) if i not in dropped]:
-            wheels = ", ".join(names[i] for i in suspects)
+        suspects = [i for i in _lasting(self._suspects) if i not in dropped]
+        sliding = [i for i in _lasting(self._sliding) if i not in dropped]
+        if suspects and (not sliding or len(suspects) == len(names) == len(sliding)):
             warnings.append(
-                f"odometry: the encoders of {wheels} may be wrong, or the wheels do not follow"
-                " their commands; the covariance covers both cases"
+                f"odometry: the encoders of {_listed(suspects, names)} may be wrong, or the wheels"
+                " do not follow their commands; the covariance covers both cases"
+            )
+        elif len(sliding) == len(names):
+            warnings.append(
+                "odometry: the wheels slide, the robot is held or pulled, and its motion is"
+                " unknown; look whether it moves"
+            )
+        elif sliding:
+            others = [i for i in suspects if i not in sliding] or suspects
+            are = "turns as commanded" if len(sliding) == 1 else "turn as commanded"
+            do = "does not" if len(others) == 1 else "do not"
+            warnings.append(
+                f"odometry: stuck, or encoders dead? {_listed(sliding, names)} {are}, and"
+                f" {_listed(others, names) or 'the gyro'} {do}: look whether the robot moves. If it"
+                " moves, check the encoders; the covariance covers both cases"
             )
         return warnings
+
+
+def _listed(wheels: Sequence[int], names: Sequence[str]) -> str:
+    return ", ".join(names[i] for i in wheels)
 
 
 def _update(shares: dict[int, float], wheels: Collection[int], gain: float) -> None:
@@ -353,6 +379,8 @@ class LastingErrors:
         errors = estimator.lasting_errors(joints, estimate, twist)
         # The odometry itself treats errors in directions that no wheel measures.
         tau = estimator.noise.correlation if estimate.rank == 3 else 0.0
+        if estimate.suspects or estimate.sliding:
+            tau = UNDECIDED_CORRELATION
         if not errors and not tau:
             return covariance
         # Position in the middle of the block, relative to the start of the drive.

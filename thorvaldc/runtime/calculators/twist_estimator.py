@@ -85,7 +85,7 @@ class TwistEstimate(NamedTuple):
     chi_squares: tuple[float, ...] = ()
     dropped: tuple[int, ...] = ()
     suspects: tuple[int, ...] = ()
-    spinning: tuple[int, ...] = ()
+    sliding: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -510,14 +510,17 @@ class TwistEstimator:
             # The reduced chi-square is the factor by which the measured variance exceeds the
             # assumed variance.
             growth = max(1.0, fits.misfit(fit) / max(freedom, 1))
-            commands = search.encoders_wrong(wheel_causes.encoders(measurements), measurements)[1]
-            fit = wheel_causes.with_covariance(fit, growth)
-            covered = wheel_causes.covering(fit, [1.0, 1.0], [fit, commands])
+            fits_of_all = [
+                wheel_causes.with_covariance(fit, growth),
+                search.all_encoders_wrong(measurements),
+                search.sliding(measurements, certain=True).fit,
+            ]
+            covered = wheel_causes.covering(fit, [0.0, 1.0, 0.0], fits_of_all)
             failed = [k for k, d in enumerate(tests) if d > self.gates[k]]
             return self._result(covered, tests, rank, (), failed)
-        mean, left_out, suspects, spinning = wheel_causes.mixture(hypotheses)
+        mean, left_out, suspects, sliding = wheel_causes.mixture(hypotheses)
         tests = chi_squares(hypotheses[0].fit)
-        return self._result(mean, tests, rank, left_out, suspects, spinning)
+        return self._result(mean, tests, rank, left_out, suspects, sliding)
 
     def _result(
         self,
@@ -526,11 +529,11 @@ class TwistEstimator:
         rank: int,
         dropped: Sequence[int] = (),
         suspects: Sequence[int] = (),
-        spinning: Sequence[int] = (),
+        sliding: Sequence[int] = (),
     ) -> TwistEstimate:
         """Returns the estimate at ``base_link``.
 
-        - ``dropped``, ``suspects``, ``spinning``: indices of measurements.
+        - ``dropped``, ``suspects``, ``sliding``: indices of measurements.
 
         A fit about the centroid (xm, ym) with the twist xi and the covariance P is converted to
         ``base_link`` by xi' = A xi and P' = A P A', with A = [1 0 ym; 0 1 -xm; 0 0 1].
@@ -556,11 +559,11 @@ class TwistEstimator:
         # Calling a class of named tuples takes twice as long as making the tuple directly.
         new = tuple.__new__
         twist = new(Twist, (vx, vy, wz))
-        if dropped or suspects or spinning:
+        if dropped or suspects or sliding:
             numbers = [wheel.number for wheel in self.wheels]
             dropped = tuple(sorted(numbers[k] for k in dropped))
             suspects = tuple(sorted(numbers[k] for k in suspects))
-            spinning = tuple(sorted(numbers[k] for k in spinning))
+            sliding = tuple(sorted(numbers[k] for k in sliding))
         return new(
-            TwistEstimate, (twist, covariance, rank, tuple(tests), dropped, suspects, spinning)
+            TwistEstimate, (twist, covariance, rank, tuple(tests), dropped, suspects, sliding)
         )

@@ -1,62 +1,60 @@
 """Causes that make wheels disagree, and the mixture of the twists that follow from the causes.
 
-Each wheel has a cause.  The cause says which row of ``twist_fit`` measures its rolling speed:
+A wheel that disagrees with the other wheels or with its command has one of these causes:
 
-===============  ===========================================  ======================================
-cause            examples                                     rolling speed of the contact
-===============  ===========================================  ======================================
-healthy          rolls, is pushed, or is stalled on ground    the reading z
-wrong encoder    dead, reversed, stuck, wrong scale           the command c
-spinning         ice, mud, a wheel in the air                 between 0 and z: z/2 with the standard
-                                                              deviation of half of the top reading
-wrong wheel      slips, or has a wrong steering angle         the one of z and the direction that
-                                                              agrees with the other wheels, if any
-===============  ===========================================  ======================================
+================  =========================================  =====================================
+cause             examples                                   rolling speed of the contact
+================  =========================================  =====================================
+healthy           rolls, lags, is pushed, stalls             reading z
+wrong encoder     dead, reversed, stuck, wrong scale         command c
+sliding           ice, mud, held by a wall, pulled           anything about a share of the commands
+wrong wheel       wrong steering angle, slips alone          what agrees with the other wheels
+================  =========================================  =====================================
 
-A hypothesis gives each wheel a cause.  Up to a constant, its cost is -2 log of its likelihood:
+A hypothesis gives each wheel a cause, and has its own fit of the twist.  Up to a constant, its cost
+is -2 log of its likelihood:
 
     cost = misfit of the used measurements + price of the causes
 
-Hypotheses of a robot whose wheels disagree:
+N are the wheels that contradict their commands: |z - c| exceeds the error e(c) of
+``following_error``.  Hypotheses:
 
 1.  All wheels are healthy.  Price 0.
-2.  One or two wheels are wrong wheels, whichever leave the smallest cost.  Price k q for the k-th
-    of them, where ``q`` is the chi-square that a healthy wheel exceeds with the permitted rate of
-    false alarms.
-3.  The encoders of all wheels N that contradict their commands are wrong, and the robot moves as
-    the other wheels say.  Price ``_ONE_ENCODER``, or ``_ENCODERS`` for more wheels, which then
-    share a cause such as a cable.  Wheels whose readings are different shares of their commands
-    share no cause: ``_OTHER_CAUSE`` for each further share.
-4.  The encoders of N are right, and all other wheels spin.  The robot is held, or moves as the
-    wheels N say.  Price ``_SPINNING``.
+2.  One or two wheels are wrong wheels, whichever fit best.  Price k q for the k-th of them, where
+    ``q`` is the chi-square that a healthy wheel exceeds with the permitted rate of false alarms.
+3.  The encoders of N are wrong, the robot moves as the other wheels say, and N follow their
+    commands.  Price ``_ONE_ENCODER`` for one wheel, and ``_ENCODERS`` for more, which then share a
+    cause, such as a cable.  Encoders that read different shares of their commands share no cause:
+    ``_OTHER_CAUSE`` for each further share.  If the other wheels disagree, one more is wrong.
+4.  The readings are right, and the wheels slide: the robot is held or pulled.  Price ``_SLIDING``.
+    Its twist is the commanded one, multiplied by the share z / c of the wheel that deviates most.
+    The standard deviation is half of that deviation, so that both a held robot and one that moves
+    as commanded lie within two standard deviations.
 
-A motor that turns as commanded says nothing about the ground: if three wheels of four turn as
-commanded and one stands, hypotheses 3 and 4 explain the readings equally well, and neither the
-vote of the three wheels nor their commands decide.  A gyro decides if the hypotheses differ in the
-yaw rate.  Wheels that contradict their commands and agree with each other do decide: a robot that
-is pushed needs no accident to turn its wheels, but several stuck encoders do.
+A motor that turns as commanded says nothing about the ground.  If three wheels of four turn as
+commanded and one stands, its encoder is dead (3), or the robot stands and three wheels spin (4).
+Neither the vote of the three wheels nor their commands decide.  A gyro decides if the hypotheses
+differ in the yaw rate.  Wheels that contradict their commands and agree with each other decide too:
+a push turns all of them at once, but several stuck encoders agree by accident only.  Without
+commands, N are the wheels that stand while others turn.
 
-Without commands, the wheels that stand are N.
+The likely hypotheses are combined as a mixture of normal distributions.  In the covariance, each
+has at least the weight w = ``_LEAST_WEIGHT``.  If a hypothesis at the distance d from the mean is
+true, the squared error d' (w d d' + ...)^-1 d is at most 1 / w, below the 99.9 % quantile 16.3 of
+the chi-square distribution with 3 degrees of freedom.
 
-Means and covariances of all likely hypotheses are combined as a mixture of normal distributions.
-In the covariance each likely hypothesis has at least the weight w = ``_LEAST_WEIGHT``.  If a
-hypothesis at the distance d from the mean is true, the squared error d' (w d d' + ...)^-1 d is at
-most 1 / w, far below the 99.9 % quantile 16.3 of the chi-square distribution with 3 degrees of
-freedom.
+Wheels that agree may still contradict their commands: all of them, or wheels that no other wheel
+confirms.  Hypotheses 3 and 4 are then added to the covariance, unless a load or a delay may explain
+the deviation: all wheels then read nearly the same share of their commands, between
+1 - ``_DOUBTFUL`` and 1 + ``_DOUBTFUL``.
 
-Wheels that agree may still contradict their commands.  Hypotheses 3 and 4 are then added if a wheel
-turns at less than 0.6 or more than 1.4 of its command (``_DOUBTFUL_SHARE``), or if no other wheel
-confirms a wheel that deviates.  A load or a delay that makes all wheels slower changes nothing, and
-nor does a push without a command.
-
-All wheels that spin as commanded on a robot that is held, and a wrong radius, cannot be seen by
-the wheels.
+Wheels do not see that all of them spin as commanded on a robot that is held, nor a wrong radius.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 from thorvaldc.model.sums import float_sum
@@ -86,39 +84,49 @@ FOLLOWING_FLOOR: Final = 0.015
 A wheel that accelerates by 0.75 m/s^2 is so much slower than its command of the last tick.
 """
 _COMMANDED_SPEED: Final = 0.05
-"""Commanded speed (m/s) from which wheels that agree can contradict their commands."""
-_DOUBTFUL_SHARE: Final = 0.4
+"""Commanded speed (m/s) from which a reading is a share of the command."""
+_DOUBTFUL: Final = 0.4
 """Deviation from the command, relative to the command, that no load or delay explains."""
-_COMMON_LAG: Final = 0.2
+_COMMON_LAG: Final = 0.1
 """Largest difference of the shares of their commands that wheels with a common lag reach."""
+_EQUAL_SHARES: Final = 0.1
+"""Largest difference between the shares of their commands that encoders with one cause read."""
+_EQUAL_READINGS: Final = 0.005
+"""Largest difference (m/s) between the readings of encoders with one cause."""
 _STANDING: Final = 0.005
 """Speed (m/s) below which a wheel stands."""
 _UNCONFIRMED: Final = 0.75
 """Share of a measured speed in its own estimate from which no other wheel confirms it."""
-_EQUAL_SHARES: Final = 0.1
-"""Largest difference between the shares of their commands that encoders with one cause read."""
+_DRAGGED: Final = 0.1
+"""Standard deviation (m/s) of the speed of a robot that is dragged on wheels that should stand.
 
-_EQUAL_VALUES: Final = 0.005
-"""Largest difference (m/s) between the readings of encoders with one cause."""
+It is added to half of the wheels' speed.
+"""
+_SLIDING_SHARE: Final = 0.6
+"""Standard deviation of the speed of a robot that slides for certain, relative to its wheels."""
+
+_HELD_YAW_RATE: Final = 0.02
+"""Standard deviation (rad/s) of the yaw rate of a robot that is held."""
 
 _ONE_ENCODER: Final = 5.0
 _ENCODERS: Final = 9.0
 _OTHER_CAUSE: Final = 5.0
-_SPINNING: Final = 9.0
+_SLIDING: Final = 9.0
+_AGAINST_MOTOR: Final = 5.0
+"""Price of wheels that the ground turns backwards or faster than their motors should."""
 _CREDIBLE: Final = 6.63
 """The fit still uses one of the two measurements of a wrong wheel up to this chi-square.
 
 The number is the 1 % quantile of the chi-square distribution with 1 degree of freedom.
 """
-_DRAGGED: Final = 2.0
 _NEGLIGIBLE: Final = 9.2
 """A hypothesis has a weight below 1 % if its cost exceeds the smallest cost by this difference."""
 _LEAST_WEIGHT: Final = 0.25
 """Least weight of a likely hypothesis in the covariance: the truth is within 2 sigma."""
 _MIN_PROBABILITY: Final = 0.6
 """Least probability at which a single wrong wheel is named: it exceeds all others clearly."""
-_MIN_PAIR_PROBABILITY: Final = 0.97
-"""Least probability at which several wrong wheels are named."""
+_SURE: Final = 0.97
+"""Least probability at which wheels are named if several are wrong, or if they may slide."""
 _PAIR_SEEDS: Final = 3
 """Number of the most likely single wrong wheels that the search extends to pairs of wheels."""
 
@@ -162,39 +170,33 @@ class Fits(NamedTuple):
         first = fit_twist(measurements, vx, vy, wz, self.squares, self.prior, self.yaw_rate)
         return self.refit(measurements, first)
 
-    def replaced(
-        self,
-        measurements: list[Measurement],
-        speeds: Mapping[int, tuple[float, float]],
-        unknown: Sequence[int] = (),
-    ) -> tuple[list[Measurement], Fit, float]:
-        """Fits with other rolling speeds than those of the encoders.
+    def with_speeds(
+        self, measurements: list[Measurement], wheels: Sequence[int], speeds: Sequence[float]
+    ) -> tuple[Fit, float]:
+        """Fits without the encoders of some wheels, and returns the fit and its misfit.
 
-        - ``speeds``: rolling speed (m/s) of the contact and its variance, for some wheels.
-        - ``unknown``: wheels whose rolling speed is unknown.
-
-        Returns the measurements without the replaced encoders, the fit, and its misfit.
+        ``speeds``: rolling speed (m/s) of the contact of each measured wheel, with the errors of
+        ``following_error``, in place of the encoders of ``wheels``; empty if nothing is known.
         """
-        expected: list[Measurement] = []
-        remaining: list[Measurement] = []
-        for k, m in enumerate(measurements):
-            without = m
-            if k in speeds or k in unknown:
-                without = with_use(m, m[0] & USE_SIDE)
-                m = (m[0], *m[1:5], speeds[k][0], *m[6:]) if k in speeds else without
-            expected.append(m)
-            remaining.append(without)
+        expected = [*measurements]
+        remaining = [*measurements]
+        for k in wheels:
+            m = measurements[k]
+            remaining[k] = with_use(m, m[0] & USE_SIDE)
+            expected[k] = (m[0], *m[1:5], speeds[k], *m[6:]) if speeds else remaining[k]
         # The weights need a twist that the replaced encoders do not influence.
         (vx, vy, wz), _ = self.solve(unweighted_normal_equations(expected), self.yaw_rate)
         fit = fit_twist(remaining, vx, vy, wz, self.squares, self.weak_prior, self.yaw_rate)
-        for k, (value, variance) in speeds.items():
-            fit = add_rolling_speed(fit, k, value, variance)
+        if not speeds:
+            return fit, self.misfit(fit)
+        for k in wheels:
+            fit = add_rolling_speed(fit, k, speeds[k], following_error(speeds[k]) ** 2)
         disagreement = self.misfit(fit)
-        for k, (value, variance) in speeds.items():
+        for k in wheels:
             _, c, s, x, y = fit.measurements[k][:5]
             rolls = c * (fit.vx - y * fit.wz) + s * (fit.vy + x * fit.wz)
-            disagreement += (value - rolls) ** 2 / variance
-        return remaining, fit, disagreement
+            disagreement += ((speeds[k] - rolls) / following_error(speeds[k])) ** 2
+        return fit, disagreement
 
     def misfit(self, fit: Fit) -> float:
         """Returns the misfit of the wheels and of the gyro."""
@@ -211,22 +213,22 @@ class Hypothesis(NamedTuple):
     """Causes of the wheels, and the fit of the twist that follows from the causes.
 
     - ``wrong``: indices of the measurements of wrong wheels and of wheels with wrong encoders.
-    - ``spinning``: indices of the measurements of spinning wheels.
-    - ``measurements``: all measurements with the uses that the fit makes of them.
-    - ``others``: fit without all measurements of the wrong wheels.
-    - ``fit``: fit with the measurements of the wrong wheels that agree.
+    - ``sliding``: indices of the measurements of wheels that turn as commanded, but slide.
+    - ``fit``: fitted twist.
     - ``cost``: cost, by the formula in the documentation of the module ``wheel_causes``.
     - ``worst_ratio``: largest quotient of chi-square and gate of the healthy wheels.  A wheel whose
       chi-square is larger than its gate disagrees with the other wheels.
+    - ``others``: fit without all measurements of the wrong wheels.
+    - ``measurements``: all measurements with the uses that the fit makes of them.
     """
 
     wrong: tuple[int, ...]
-    spinning: tuple[int, ...]
-    measurements: list[Measurement]
-    others: Fit
+    sliding: tuple[int, ...]
     fit: Fit
     cost: float
     worst_ratio: float
+    others: Fit
+    measurements: list[Measurement]
 
 
 class Contradiction(NamedTuple):
@@ -235,9 +237,9 @@ class Contradiction(NamedTuple):
     - ``wheels``: indices of the measurements of these wheels, N.
     - ``commands``: commanded rolling speed (m/s) of the contact of each measured wheel, or empty if
       the commands are unknown.
-    - ``causes``: least number of causes that wrong encoders of N have.
-    - ``doubtful``: ``True`` if no load or delay explains the deviation of a wheel, or no other
-      wheel confirms it.
+    - ``causes``: least number of causes that the encoders of N have, if they are wrong.
+    - ``doubtful``: ``True`` if no load or delay explains the deviations, or no other wheel confirms
+      a wheel.
     """
 
     wheels: tuple[int, ...]
@@ -246,46 +248,45 @@ class Contradiction(NamedTuple):
     doubtful: bool
 
 
-def contradiction(fit: Fit, measurements: Sequence[Measurement], turning: Sequence[tuple[float, float]]) -> Contradiction:
+def contradiction(
+    fit: Fit, measurements: Sequence[Measurement], turning: Sequence[tuple[float, float]]
+) -> Contradiction:
     """Returns the wheels that contradict their commands; without commands, those that stand.
 
     - ``fit``: fitted twist with all measurements.
     - ``turning``: measured and commanded speed (m/s) of each measured wheel, or empty if the
       commands are unknown.
     """
-    wheels: list[int] = []
     if not turning:
-        wheels = [k for k in encoders(measurements) if abs(measurements[k][5]) < _STANDING]
-        return Contradiction(tuple(wheels), (), 1, False)
-    doubtful = False
-    causes = 0
-    highest, lowest = -math.inf, math.inf
+        standing = [k for k in encoders(measurements) if abs(measurements[k][5]) < _STANDING]
+        return Contradiction(tuple(standing), (), 1, False)
+    wheels: list[int] = []
     shares: list[float] = []
-    values: list[float] = []
+    readings: list[float] = []
+    causes, doubtful, highest, lowest = 0, False, -math.inf, math.inf
     for k in encoders(measurements):
         measured, command = turning[k]
-        deviation = abs(measured - command)
-        share = measured / command if abs(command) > _COMMANDED_SPEED else 1.0
-        if deviation <= following_error(command):
-            highest, lowest = max(highest, 1.0), min(lowest, 1.0)
+        follows = abs(measured - command) <= following_error(command)
+        share = measured / command if abs(command) > _COMMANDED_SPEED and not follows else 1.0
+        highest, lowest = max(highest, share), min(lowest, share)
+        if follows:
             continue
         wheels.append(k)
         confirmed = rolling_leverage(fit, k) <= _UNCONFIRMED
-        if abs(command) > _COMMANDED_SPEED:
-            highest, lowest = max(highest, share), min(lowest, share)
-            doubtful = doubtful or not confirmed or abs(share - 1.0) > _DOUBTFUL_SHARE
-            if confirmed:
-                _add_distinct(shares, share, _EQUAL_SHARES)
-                _add_distinct(values, measured, _EQUAL_VALUES)
-        elif confirmed:
-            causes += 1
-    doubtful = doubtful or highest - lowest > _COMMON_LAG
-    causes = max(causes + min(len(shares), len(values)), 1)
+        if abs(command) <= _COMMANDED_SPEED:
+            causes += confirmed
+            continue
+        doubtful = doubtful or not confirmed or abs(share - 1.0) > _DOUBTFUL
+        if confirmed:
+            _add_distinct(shares, share, _EQUAL_SHARES)
+            _add_distinct(readings, measured, _EQUAL_READINGS)
     commands = [
         # The contact of a wheel beside its steering axis also moves with the steering joint.
         m[5] + command - measured
         for m, (measured, command) in zip(measurements, turning, strict=True)
     ]
+    causes = max(causes + min(len(shares), len(readings)), 1)
+    doubtful = doubtful or highest - lowest > _COMMON_LAG
     return Contradiction(tuple(wheels), commands, causes, doubtful)
 
 
@@ -299,7 +300,8 @@ class CauseSearch:
 
     - ``gates``: for each measured wheel, the chi-square above which the wheel disagrees.
     - ``price``: cost q of a wrong wheel.
-    - ``max_wrong``: largest number of wrong wheels, 0 to 2.
+    - ``max_wrong``: largest number of wrong wheels of hypothesis 2, 0 to 2.
+    - ``length2``: square of the length (m) that relates yaw rates to speeds.
     - ``against``: wheels that contradict their commands.
     - ``fits``: fits of the twist for given causes.
     """
@@ -325,143 +327,142 @@ class CauseSearch:
     ) -> list[Hypothesis]:
         """Returns all likely hypotheses, the most likely first.
 
-        ``fit`` is the fitted twist with all measurements.  ``disagree``: whether a wheel exceeds
-        its gate.  Returns an empty list if no hypothesis explains the misfit.
+        - ``fit``: fitted twist with all measurements.
+        - ``disagree``: ``True`` if a wheel exceeds its gate.
+
+        Returns an empty list if no hypothesis explains the misfit.
         """
         healthy = self._wrong_wheels((), measurements, fit)
-        whole = self._wrong_encoders(measurements)
-        sliding = self._sliding(measurements) if self._against.wheels or self._against.commands else None
-        found = [healthy, *whole]
-        if sliding is not None:
-            found.append(sliding)
-        if disagree:
-            known = [{*h.wrong} for h in whole if h.wrong]
-            singles = self._one_more_wrong(healthy, known)
-            singles.sort(key=_cost)
-            found += singles
-            if singles and self._max_wrong > 1 and min(found, key=_cost).worst_ratio > 1.0:
-                for rank, single in enumerate(singles[:_PAIR_SEEDS]):
-                    # The list already contains all pairs of wheels with a more likely wrong wheel.
-                    visited = [s.wrong[0] for s in singles[:rank]]
-                    found += self._one_more_wrong(single, known, visited)
-        else:
+        encoders_wrong = self._wrong_encoders(measurements)
+        found = [healthy, *encoders_wrong]
+        if self._against.wheels or self._gyro_slip(measurements):
+            found.append(self.sliding(measurements))
+        if not disagree:
             return found  # the agreement of wheels that contradict their commands proves nothing
+        known = [{*h.wrong} for h in encoders_wrong]
+        singles = self._one_more_wrong(healthy, known)
+        singles.sort(key=_cost)
+        found += singles
+        if singles and self._max_wrong > 1 and min(found, key=_cost).worst_ratio > 1.0:
+            for rank, single in enumerate(singles[:_PAIR_SEEDS]):
+                # The list already contains all pairs of wheels with a more likely wrong wheel.
+                visited = [s.wrong[0] for s in singles[:rank]]
+                found += self._one_more_wrong(single, known, visited)
         found.sort(key=_cost)
         best = found[0]
         if best.worst_ratio > 2.0:  # twice the gate has about the square of the gate's probability
             return []
         likely = [h for h in found if h.cost - best.cost < _NEGLIGIBLE]
-        if self._against.commands and any(2 * len(h.wrong) >= len(self._against.commands) for h in likely):
-            every = encoders(measurements)
-            used, fit, _ = self.encoders_wrong(every, measurements)
-            likely.append(self._priced(every, (), used, fit, 0.0, best.cost + _NEGLIGIBLE))
+        every = encoders(measurements)
+        if self._against.commands and any(2 * len(h.wrong) >= len(every) for h in likely):
+            # Nothing confirms the encoders of a minority: the errors of all may be small.
+            last = self._encoders_wrong(every, measurements, 0.0)
+            likely.append(last._replace(cost=best.cost + _NEGLIGIBLE))
         return likely
 
-    def encoders_wrong(
-        self, wheels: Sequence[int], measurements: list[Measurement]
-    ) -> tuple[list[Measurement], Fit, float]:
-        """Fits where the encoders of the wheels are wrong, and the wheels follow their commands."""
-        commands = self._against.commands
-        if not commands:
-            return self._fits.replaced(measurements, {}, wheels)
-        speeds = {k: (commands[k], following_error(commands[k]) ** 2) for k in wheels}
-        return self._fits.replaced(measurements, speeds)
+    # -- hypothesis 3 -------------------------------------------------------------------
 
     def _wrong_encoders(self, measurements: list[Measurement]) -> list[Hypothesis]:
-        """Returns the hypothesis 3: the encoders of N are wrong, and perhaps one more."""
+        """Returns the hypothesis that the encoders of N are wrong, and perhaps one more."""
         wheels = self._against.wheels
-        others = tuple(k for k in encoders(measurements) if k not in wheels)
+        others = [k for k in encoders(measurements) if k not in wheels]
         if not wheels or not (others or self._against.commands):
             return []
-        used, fit, disagreement = self.encoders_wrong(wheels, measurements)
         price = _ONE_ENCODER if len(wheels) == 1 else _ENCODERS
         price += _OTHER_CAUSE * (self._against.causes - 1)
-        found = [self._priced(wheels, (), used, fit, disagreement, price)]
+        found = [self._encoders_wrong(wheels, measurements, price)]
         if found[0].worst_ratio > 1.0:
-            for k in others:
-                more = (*wheels, k)
-                used, fit, disagreement = self.encoders_wrong(more, measurements)
-                found.append(
-                    self._priced(more, (), used, fit, disagreement, price + self._price)
-                )
+            price += self._price
+            found += [self._encoders_wrong((*wheels, k), measurements, price) for k in others]
         return found
 
-    def _sliding(self, measurements: list[Measurement]) -> Hypothesis | None:
-        """Returns the hypothesis 4: the robot is held or pulled, and the wheels slide.
-
-        Returns ``None`` if no wheel and no gyro contradicts the commands.
-        """
-        against, yaw_rate = self._against, self._fits.yaw_rate
-        every = encoders(measurements)
-        others = tuple(k for k in every if k not in against.wheels)
-        used, fit, _ = self.encoders_wrong(every, measurements)
-        vx, vy, wz = fit[:3]
-        length = math.sqrt(self._length2)
-        fastest = max((abs(measurements[k][5]) for k in every), default=0.0)
-        share, deviation = 0.0, fastest
-        if against.commands:
-            share, deviation = 1.0, 0.0
-            for k in against.wheels:
-                measured, command = measurements[k][5], against.commands[k]
-                if abs(measured - command) > deviation:
-                    deviation = abs(measured - command)
-                    share = measured / command if abs(command) > _COMMANDED_SPEED else 1.0
-                    if abs(command) <= _COMMANDED_SPEED:
-                        deviation *= _DRAGGED
-            fastest = max(fastest, *(abs(against.commands[k]) for k in every))
-            if yaw_rate is not None:
-                turning = length * abs(yaw_rate - wz)
-                noise = 3.0 * length * math.sqrt(self._fits.squares[5])
-                if turning > following_error(length * wz) + noise:
-                    deviation = max(fastest, _DRAGGED * turning)
-                    if length * abs(wz) > _COMMANDED_SPEED:
-                        share = yaw_rate / wz
-        if not deviation:
-            return None
-        share = min(max(share, -1.0), 2.0)
-        variance = (deviation * 0.5) ** 2
-        angular = variance / self._length2
-        vx, vy, wz = share * vx, share * vy, share * wz
-        price = _SPINNING
-        if yaw_rate is not None:
-            noise = self._fits.squares[5]
-            total = angular + noise
-            price += min(
-                (yaw_rate - wz) ** 2 / total + math.log(total / noise),
-                yaw_rate * yaw_rate / (noise + 0.0004),
-            )
-            wz += angular / total * (yaw_rate - wz)
-            angular *= noise / total
-        fit = Fit(vx, vy, wz, variance, 0.0, 0.0, variance, 0.0, angular, fit.measurements)
-        return Hypothesis((), others or every, used, fit, fit, price, 0.0)
-
-    def _priced(
-        self,
-        wrong: tuple[int, ...],
-        spinning: tuple[int, ...],
-        used: list[Measurement],
-        fit: Fit,
-        disagreement: float,
-        price: float,
+    def _encoders_wrong(
+        self, wheels: tuple[int, ...], measurements: list[Measurement], price: float
     ) -> Hypothesis:
-        """Returns a hypothesis about the whole robot.
-
-        If the healthy wheels agree, a smaller misfit is no evidence, because wheels that stand and
-        dead encoders have no noise.
-        """
-        ratio = self._worst_ratio(fit, (*wrong, *spinning))
+        fit, disagreement = self._fits.with_speeds(measurements, wheels, self._against.commands)
+        ratio = self._worst_ratio(fit, wheels)
         if ratio <= 1.0:
+            # Dead encoders and wheels that stand have no noise: a smaller misfit is no evidence.
             disagreement = self._fits.gyro_misfit(fit)
-        return Hypothesis(wrong, spinning, used, fit, fit, disagreement + price, ratio)
+        return Hypothesis(wheels, (), fit, disagreement + price, ratio, fit, measurements)
+
+    # -- hypothesis 4 -------------------------------------------------------------------
+
+    def sliding(self, measurements: list[Measurement], *, certain: bool = False) -> Hypothesis:
+        """Returns the hypothesis that the wheels slide.
+
+        ``certain``: ``True`` if no other hypothesis explains the readings.
+        """
+        every, wheels = encoders(measurements), self._against.wheels
+        commands = self._against.commands
+        fit = self.all_encoders_wrong(measurements)
+        fastest = max([abs(measurements[k][5]) for k in every], default=0.0)
+        share, sigma = 1.0, 0.0
+        for k in wheels:
+            measured = measurements[k][5]
+            command = commands[k] if commands else fastest
+            moving = abs(command) > _COMMANDED_SPEED
+            slip = abs(measured - command) / 2.0
+            if not moving:
+                slip += _DRAGGED
+            if slip > sigma:
+                sigma, share = slip, measured / command if moving else 1.0
+        turning = self._gyro_slip(measurements)
+        if certain or turning:
+            fastest = max([fastest, *map(abs, commands)])
+            sigma = max(sigma, _SLIDING_SHARE * fastest, 2.0 * turning)
+            share = min(share, 0.5)
+        cost = _SLIDING
+        if not -_EQUAL_SHARES < share < 1.0 + _EQUAL_SHARES:
+            cost += _AGAINST_MOTOR
+        share = min(max(share, -1.0), 2.0)
+        variance = sigma * sigma
+        wz, angular, gyro_misfit = self._with_gyro(share * fit.wz, variance / self._length2)
+        vx, vy, rest = share * fit.vx, share * fit.vy, fit.measurements
+        slid = Fit(vx, vy, wz, variance, 0.0, 0.0, variance, 0.0, angular, rest)
+        others = tuple(k for k in every if k not in wheels)
+        return Hypothesis((), others or every, slid, cost + gyro_misfit, 0.0, slid, measurements)
+
+    def all_encoders_wrong(self, measurements: list[Measurement]) -> Fit:
+        """Fits where all encoders are wrong, and all wheels follow their commands."""
+        every = encoders(measurements)
+        return self._fits.with_speeds(measurements, every, self._against.commands)[0]
+
+    def _gyro_slip(self, measurements: list[Measurement]) -> float:
+        """Returns the speed (m/s) at the wheels by which a gyro contradicts the commands, or 0."""
+        yaw_rate = self._fits.yaw_rate
+        if yaw_rate is None or not self._against.commands:
+            return 0.0
+        length, wz = math.sqrt(self._length2), self.all_encoders_wrong(measurements).wz
+        noise = 3.0 * math.sqrt(self._fits.squares[5])
+        turning = length * abs(yaw_rate - wz)
+        return turning if turning > following_error(length * wz) + length * noise else 0.0
+
+    def _with_gyro(self, wz: float, variance: float) -> tuple[float, float, float]:
+        """Returns a yaw rate and its variance after a measurement by the gyro, and the misfit.
+
+        A wide distribution predicts the measurement with a small density, unless the robot stands.
+        """
+        yaw_rate, noise = self._fits.yaw_rate, self._fits.squares[5]
+        if yaw_rate is None or not variance:
+            return wz, variance, 0.0
+        total = variance + noise
+        slides = (yaw_rate - wz) ** 2 / total + math.log(total / noise)
+        stands = yaw_rate * yaw_rate / (noise + _HELD_YAW_RATE**2)
+        wz += variance / total * (yaw_rate - wz)
+        return wz, variance * noise / total, min(slides, stands)
+
+    # -- hypotheses 1 and 2 -------------------------------------------------------------
 
     def _one_more_wrong(
         self, hypothesis: Hypothesis, known: Sequence[set[int]], visited: Sequence[int] = ()
     ) -> list[Hypothesis]:
         """Returns all hypotheses with one more wrong wheel than ``hypothesis``.
 
-        ``known``: sets of wheels that other hypotheses already leave out.  ``visited`` contains the indices of wheels that are skipped, because the search has already
-        taken them as wrong.  A wheel can be wrong only if the other wheels determine the twist
-        without it.
+        - ``known``: sets of wheels that other hypotheses already leave out.
+        - ``visited``: indices of wheels that the search has already taken as wrong.
+
+        A wheel can be wrong only if the other wheels determine the twist without it.
         """
         extended: list[Hypothesis] = []
         if len(hypothesis.wrong) >= self._max_wrong:
@@ -504,7 +505,7 @@ class CauseSearch:
                 row = USE_ROLL if comparison.roll == smaller else USE_SIDE
                 measurements[k] = with_use(measurements[k], row)
                 current = self._fits.refit(measurements, current)
-        return Hypothesis(wrong, (), measurements, fit, current, cost, ratio)
+        return Hypothesis(wrong, (), current, cost, ratio, fit, measurements)
 
     def _worst_ratio(self, fit: Fit, others: Sequence[int]) -> float:
         ratios = [0.0]
@@ -523,27 +524,24 @@ class Mixture(NamedTuple):
     """Mixture of the likely hypotheses.
 
     - ``fit``: mean twist and covariance.
-    - ``left_out``: indices of the measurements of wheels that are clearly wrong or spinning.
+    - ``left_out``: indices of the measurements of wheels that are clearly wrong.
     - ``suspects``: indices of the measurements of wheels that may be wrong.
-    - ``spinning``: indices of the measurements of wheels that may spin.
+    - ``sliding``: indices of the measurements of wheels that may slide.
     """
 
     fit: Fit
     left_out: tuple[int, ...]
     suspects: tuple[int, ...]
-    spinning: tuple[int, ...]
+    sliding: tuple[int, ...]
 
 
 def mixture(hypotheses: Sequence[Hypothesis]) -> Mixture:
     """Returns the mixture of the hypotheses, of which the first is the most likely.
 
     With the probabilities p_i, means xi_i and covariances P_i of the hypotheses, the mixture has
-    the mean xi = sum p_i xi_i and the covariance P = sum p_i (P_i + (xi_i - xi) (xi_i - xi)').
+    the mean xi = sum p_i xi_i and the covariance of ``covering``.
     """
     best = hypotheses[0]
-    left_out = best.wrong
-    if len(hypotheses) == 1:
-        return Mixture(best.fit, left_out, (), best.spinning)
     weights = [math.exp((best.cost - h.cost) / 2.0) for h in hypotheses]
     total = float_sum(weights)
     probabilities = [weight / total for weight in weights]
@@ -553,14 +551,13 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> Mixture:
     wz = float_sum(p * f.wz for p, f in zip(probabilities, fits, strict=True))
     mean = best.fit._replace(vx=vx, vy=vy, wz=wz)
     mean = covering(mean, [max(p, _LEAST_WEIGHT) for p in probabilities], fits)
+    sliding = {k for h in hypotheses for k in h.sliding}
     # Nothing is left out on the word of a motor that turns as commanded.
-    undecided = any(h.spinning for h in hypotheses)
-    least = _MIN_PAIR_PROBABILITY if len(left_out) > 1 or undecided else _MIN_PROBABILITY
-    if probabilities[0] > least and not best.spinning:
-        return Mixture(mean, left_out, (), ())
-    suspects = {k for h in hypotheses for k in h.wrong}
-    spinning = {k for h in hypotheses for k in h.spinning}
-    return Mixture(mean, (), tuple(suspects), tuple(spinning - suspects))
+    least = _SURE if sliding or len(best.wrong) > 1 else _MIN_PROBABILITY
+    if best.wrong and probabilities[0] > least:
+        return Mixture(mean, best.wrong, (), ())
+    suspects = tuple({k for h in hypotheses for k in h.wrong})
+    return Mixture(mean, (), suspects, tuple(sliding))
 
 
 def covering(mean: Fit, weights: Sequence[float], fits: Sequence[Fit]) -> Fit:
@@ -584,8 +581,9 @@ def covering(mean: Fit, weights: Sequence[float], fits: Sequence[Fit]) -> Fit:
 
 def with_covariance(fit: Fit, factor: float) -> Fit:
     """Returns ``fit`` with its covariance multiplied by ``factor``."""
-    vx, vy, wz, *covariance, measurements = fit
-    return Fit(vx, vy, wz, *(factor * p for p in covariance), measurements)
+    vx, vy, wz, p11, p12, p13, p22, p23, p33, rest = fit
+    p11, p12, p13 = factor * p11, factor * p12, factor * p13
+    return Fit(vx, vy, wz, p11, p12, p13, factor * p22, factor * p23, factor * p33, rest)
 
 
 def _cost(hypothesis: Hypothesis) -> float:
