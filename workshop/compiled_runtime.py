@@ -38,7 +38,7 @@ RUNTIME_MODULES = (
     "runtime/base_interface",
     "runtime/calculators/base_geometry",
     "runtime/calculators/twist_fit",
-    "runtime/calculators/wheel_rejection",
+    "runtime/calculators/wheel_causes",
     "runtime/calculators/twist_estimator",
     "runtime/calculators/base_calculator",
     "runtime/calculators/steering_branch",

@@ -354,7 +354,7 @@ class LastingErrors:
             # The first block starts, or the time of the joint states has decreased.
             self.start_time = joints.time
             return covariance
-        if pose != previous:
+        if pose != previous or estimate.suspects or estimate.sliding:
             try:
                 covariance = self._grown(covariance, joints, estimate, pose, elapsed)
             except (ZeroDivisionError, OverflowError):

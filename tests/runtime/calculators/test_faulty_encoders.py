@@ -134,7 +134,7 @@ def test_odometry_warns_of_lasting_faults_only() -> None:
     (doubted,) = warnings_after(90, dict.fromkeys(range(3), 0.0))
     assert "w0, w1, w2" in doubted
     assert warnings_after(120, {}) == []
-    (dropped,) = warnings_after(60, {0: 12.0})
+    (dropped,) = warnings_after(90, {0: 12.0})
     assert "left out w0" in dropped
 
 

@@ -513,9 +513,9 @@ class TwistEstimator:
             fits_of_all = [
                 wheel_causes.with_covariance(fit, growth),
                 search.all_encoders_wrong(measurements),
-                search.sliding(measurements, certain=True).fit,
+                search.sliding(measurements, fit, certain=True).fit,
             ]
-            covered = wheel_causes.covering(fit, [0.0, 1.0, 0.0], fits_of_all)
+            covered = wheel_causes.covering(fit, [1.0, 1.0, 0.25], fits_of_all)
             failed = [k for k, d in enumerate(tests) if d > self.gates[k]]
             return self._result(covered, tests, rank, (), failed)
         mean, left_out, suspects, sliding = wheel_causes.mixture(hypotheses)

@@ -123,6 +123,8 @@ _NEGLIGIBLE: Final = 9.2
 """A hypothesis has a weight below 1 % if its cost exceeds the smallest cost by this difference."""
 _LEAST_WEIGHT: Final = 0.25
 """Least weight of a likely hypothesis in the covariance: the truth is within 2 sigma."""
+_LEAST_WRONG: Final = 0.1
+"""The same for wrong wheels, which are frequent: healthy wheels exceed their gates by chance."""
 _MIN_PROBABILITY: Final = 0.6
 """Least probability at which a single wrong wheel is named: it exceeds all others clearly."""
 _SURE: Final = 0.97
@@ -238,6 +240,7 @@ class Contradiction(NamedTuple):
     - ``commands``: commanded rolling speed (m/s) of the contact of each measured wheel, or empty if
       the commands are unknown.
     - ``causes``: least number of causes that the encoders of N have, if they are wrong.
+    - ``pushed``: number of wheels that turn, as others confirm, although they should stand.
     - ``doubtful``: ``True`` if no load or delay explains the deviations, or no other wheel confirms
       a wheel.
     """
@@ -245,6 +248,7 @@ class Contradiction(NamedTuple):
     wheels: tuple[int, ...]
     commands: Sequence[float]
     causes: int
+    pushed: int
     doubtful: bool
 
 
@@ -259,11 +263,11 @@ def contradiction(
     """
     if not turning:
         standing = [k for k in encoders(measurements) if abs(measurements[k][5]) < _STANDING]
-        return Contradiction(tuple(standing), (), 1, False)
+        return Contradiction(tuple(standing), (), 1, 0, False)
     wheels: list[int] = []
     shares: list[float] = []
     readings: list[float] = []
-    causes, doubtful, highest, lowest = 0, False, -math.inf, math.inf
+    pushed, doubtful, highest, lowest = 0, False, -math.inf, math.inf
     for k in encoders(measurements):
         measured, command = turning[k]
         follows = abs(measured - command) <= following_error(command)
@@ -274,7 +278,7 @@ def contradiction(
         wheels.append(k)
         confirmed = rolling_leverage(fit, k) <= _UNCONFIRMED
         if abs(command) <= _COMMANDED_SPEED:
-            causes += confirmed
+            pushed += confirmed
             continue
         doubtful = doubtful or not confirmed or abs(share - 1.0) > _DOUBTFUL
         if confirmed:
@@ -285,9 +289,9 @@ def contradiction(
         m[5] + command - measured
         for m, (measured, command) in zip(measurements, turning, strict=True)
     ]
-    causes = max(causes + min(len(shares), len(readings)), 1)
+    causes = max(pushed + min(len(shares), len(readings)), 1)
     doubtful = doubtful or highest - lowest > _COMMON_LAG
-    return Contradiction(tuple(wheels), commands, causes, doubtful)
+    return Contradiction(tuple(wheels), commands, causes, pushed, doubtful)
 
 
 def _add_distinct(values: list[float], value: float, tolerance: float) -> None:
@@ -334,25 +338,27 @@ class CauseSearch:
         """
         healthy = self._wrong_wheels((), measurements, fit)
         encoders_wrong = self._wrong_encoders(measurements)
-        found = [healthy, *encoders_wrong]
+        hypotheses = [healthy, *encoders_wrong]
         if self._against.wheels or self._gyro_slip(measurements):
-            found.append(self.sliding(measurements))
+            hypotheses.append(self.sliding(measurements, fit))
         if not disagree:
-            return found  # the agreement of wheels that contradict their commands proves nothing
+            return (
+                hypotheses  # the agreement of wheels that contradict their commands proves nothing
+            )
         known = [{*h.wrong} for h in encoders_wrong]
         singles = self._one_more_wrong(healthy, known)
         singles.sort(key=_cost)
-        found += singles
-        if singles and self._max_wrong > 1 and min(found, key=_cost).worst_ratio > 1.0:
+        hypotheses += singles
+        if singles and self._max_wrong > 1 and min(hypotheses, key=_cost).worst_ratio > 1.0:
             for rank, single in enumerate(singles[:_PAIR_SEEDS]):
                 # The list already contains all pairs of wheels with a more likely wrong wheel.
                 visited = [s.wrong[0] for s in singles[:rank]]
-                found += self._one_more_wrong(single, known, visited)
-        found.sort(key=_cost)
-        best = found[0]
+                hypotheses += self._one_more_wrong(single, known, visited)
+        hypotheses.sort(key=_cost)
+        best = hypotheses[0]
         if best.worst_ratio > 2.0:  # twice the gate has about the square of the gate's probability
             return []
-        likely = [h for h in found if h.cost - best.cost < _NEGLIGIBLE]
+        likely = [h for h in hypotheses if h.cost - best.cost < _NEGLIGIBLE]
         every = encoders(measurements)
         if self._against.commands and any(2 * len(h.wrong) >= len(every) for h in likely):
             # Nothing confirms the encoders of a minority: the errors of all may be small.
@@ -370,11 +376,11 @@ class CauseSearch:
             return []
         price = _ONE_ENCODER if len(wheels) == 1 else _ENCODERS
         price += _OTHER_CAUSE * (self._against.causes - 1)
-        found = [self._encoders_wrong(wheels, measurements, price)]
-        if found[0].worst_ratio > 1.0:
+        hypotheses = [self._encoders_wrong(wheels, measurements, price)]
+        if hypotheses[0].worst_ratio > 1.0:
             price += self._price
-            found += [self._encoders_wrong((*wheels, k), measurements, price) for k in others]
-        return found
+            hypotheses += [self._encoders_wrong((*wheels, k), measurements, price) for k in others]
+        return hypotheses
 
     def _encoders_wrong(
         self, wheels: tuple[int, ...], measurements: list[Measurement], price: float
@@ -388,16 +394,19 @@ class CauseSearch:
 
     # -- hypothesis 4 -------------------------------------------------------------------
 
-    def sliding(self, measurements: list[Measurement], *, certain: bool = False) -> Hypothesis:
+    def sliding(
+        self, measurements: list[Measurement], fit: Fit, *, certain: bool = False
+    ) -> Hypothesis:
         """Returns the hypothesis that the wheels slide.
 
-        ``certain``: ``True`` if no other hypothesis explains the readings.
+        - ``fit``: fitted twist with all measurements.
+        - ``certain``: ``True`` if no other hypothesis explains the readings.
         """
         every, wheels = encoders(measurements), self._against.wheels
         commands = self._against.commands
-        fit = self.all_encoders_wrong(measurements)
+        mean = self.all_encoders_wrong(measurements)
         fastest = max([abs(measurements[k][5]) for k in every], default=0.0)
-        share, sigma = 1.0, 0.0
+        share, sigma, dragged = 1.0, 0.0, False
         for k in wheels:
             measured = measurements[k][5]
             command = commands[k] if commands else fastest
@@ -406,19 +415,22 @@ class CauseSearch:
             if not moving:
                 slip += _DRAGGED
             if slip > sigma:
-                sigma, share = slip, measured / command if moving else 1.0
+                sigma, dragged = slip, not moving
+                share = measured / command if moving else 1.0
         turning = self._gyro_slip(measurements)
         if certain or turning:
             fastest = max([fastest, *map(abs, commands)])
             sigma = max(sigma, _SLIDING_SHARE * fastest, 2.0 * turning)
             share = min(share, 0.5)
-        cost = _SLIDING
+        if dragged:
+            mean = fit
+        cost = _SLIDING + _OTHER_CAUSE * max(self._against.pushed - 1, 0)
         if not -_EQUAL_SHARES < share < 1.0 + _EQUAL_SHARES:
             cost += _AGAINST_MOTOR
         share = min(max(share, -1.0), 2.0)
         variance = sigma * sigma
-        wz, angular, gyro_misfit = self._with_gyro(share * fit.wz, variance / self._length2)
-        vx, vy, rest = share * fit.vx, share * fit.vy, fit.measurements
+        wz, angular, gyro_misfit = self._with_gyro(share * mean.wz, variance / self._length2)
+        vx, vy, rest = share * mean.vx, share * mean.vy, mean.measurements
         slid = Fit(vx, vy, wz, variance, 0.0, 0.0, variance, 0.0, angular, rest)
         others = tuple(k for k in every if k not in wheels)
         return Hypothesis((), others or every, slid, cost + gyro_misfit, 0.0, slid, measurements)
@@ -550,7 +562,8 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> Mixture:
     vy = float_sum(p * f.vy for p, f in zip(probabilities, fits, strict=True))
     wz = float_sum(p * f.wz for p, f in zip(probabilities, fits, strict=True))
     mean = best.fit._replace(vx=vx, vy=vy, wz=wz)
-    mean = covering(mean, [max(p, _LEAST_WEIGHT) for p in probabilities], fits)
+    least = [_LEAST_WEIGHT if h.fit is h.others else _LEAST_WRONG for h in hypotheses]
+    mean = covering(mean, list(map(max, probabilities, least)), fits)
     sliding = {k for h in hypotheses for k in h.sliding}
     # Nothing is left out on the word of a motor that turns as commanded.
     least = _SURE if sliding or len(best.wrong) > 1 else _MIN_PROBABILITY
@@ -561,21 +574,22 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> Mixture:
 
 
 def covering(mean: Fit, weights: Sequence[float], fits: Sequence[Fit]) -> Fit:
-    """Returns ``mean`` with the covariance sum P_i + w_i (xi_i - xi) (xi_i - xi)'.
+    """Returns ``mean`` with the covariance sum min(4 w_i, 1) P_i + w_i (xi_i - xi) (xi_i - xi)'.
 
-    A mixture weights the covariances P_i too.  They count in full, because the true hypothesis may
-    be one of small weight.
+    A mixture has the weights w_i for P_i too.  They count more here, because the true hypothesis
+    may be one of small weight.
     """
     vx, vy, wz = mean[:3]
     p11 = p12 = p13 = p22 = p23 = p33 = 0.0
     for p, f in zip(weights, fits, strict=True):
         dx, dy, dw = f.vx - vx, f.vy - vy, f.wz - wz
-        p11 += f.p11 + p * dx * dx
-        p12 += f.p12 + p * dx * dy
-        p13 += f.p13 + p * dx * dw
-        p22 += f.p22 + p * dy * dy
-        p23 += f.p23 + p * dy * dw
-        p33 += f.p33 + p * dw * dw
+        k = min(4.0 * p, 1.0)
+        p11 += k * f.p11 + p * dx * dx
+        p12 += k * f.p12 + p * dx * dy
+        p13 += k * f.p13 + p * dx * dw
+        p22 += k * f.p22 + p * dy * dy
+        p23 += k * f.p23 + p * dy * dw
+        p33 += k * f.p33 + p * dw * dw
     return Fit(vx, vy, wz, p11, p12, p13, p22, p23, p33, mean.measurements)
 
 
