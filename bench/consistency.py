@@ -111,7 +111,7 @@ def study(robot: str, kind: str, settings: list[Noise], seconds: float) -> list[
                 odometry.update(joint_states, k * dt)
     results = []
     for noise, group in zip(settings, odometries, strict=True):
-        errors = [_logarithm(end.relative_to(o.pose)) for end, o in zip(ends, group, strict=True)]
+        errors = [logarithm(end.relative_to(o.pose)) for end, o in zip(ends, group, strict=True)]
         poses = np.array([_nees(e, o.covariance) for e, o in zip(errors, group, strict=True)])
         squares = [e[0] ** 2 + e[1] ** 2 for e in errors]
         variances = [o.covariance[0][0] + o.covariance[1][1] for o in group]
@@ -238,7 +238,7 @@ def _nees(error: Array, covariance: se2.Cov3) -> float:
     return float(error @ np.linalg.solve(np.array(covariance), error)) / 3.0
 
 
-def _logarithm(pose: Pose2) -> Array:
+def logarithm(pose: Pose2) -> Array:
     """Returns the twist that moves a robot from the origin to ``pose`` in 1 s."""
     half = pose.yaw / 2.0
     k = half / math.tan(half) if half else 1.0
