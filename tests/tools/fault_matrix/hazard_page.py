@@ -115,10 +115,14 @@ FAULTS = (
     ),
     Hazard(
         "wrong speeds are reported",
-        "",
+        "changes of the reported speed of a wheel that no motion explains",
         ("three in ten speeds of a wheel are random",),
-        (ROWS,),
-        "nothing notices it; the odometry of a robot with two drives is wrong",
+        (
+            ROWS,
+            f"{CAN}/test_disobedient_drives.py::test_a_wheel_that_reports_random_speeds_stops",
+        ),
+        "one wrong report a second, and speeds that are wrong by less than motors and kerbs change"
+        " them in 0.1 s; the odometry of a robot with two drives is wrong until then",
     ),
     Hazard(
         "the power fails",
