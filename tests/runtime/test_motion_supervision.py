@@ -330,7 +330,7 @@ def test_a_restart_loses_the_reference_of_steering_only() -> None:
 
 @pytest.mark.parametrize(
     ("wrong", "share", "jumps"),
-    [(5.0, 0.3, True), (1.0, 0.3, True), (0.3, 0.3, False), (5.0, 1 / PER_SECOND, False)],
+    [(5.0, 0.3, True), (1.5, 0.3, True), (0.3, 0.3, False), (5.0, 1 / PER_SECOND, False)],
 )
 @pytest.mark.parametrize("target", [0.0, 4.0])
 def test_wrong_speeds_in_some_reports(

@@ -45,8 +45,8 @@ JUMP_SPEED: Final = 1.5
 JUMP_TIME: Final = 0.04
 """Shortest time (s) of motion between two reports, because adapters delay single frames."""
 LEAP: Final = 3.0
-"""Largest change of a reported wheel speed that a motion explains, as a multiple of the change by
-the acceleration of the motor; kerbs and rough ground stay below 1."""
+"""Largest change of a reported wheel speed that a motion explains, beyond ``FollowLimits.speed``:
+multiple of the change by the acceleration of the motor.  Kerbs and rough ground stay below 1."""
 LEAPS: Final = 5.0
 """Number of larger changes, less LEAP_DECAY for each second, that single wrong reports explain."""
 LEAP_DECAY: Final = 2.0
@@ -158,6 +158,7 @@ class Axis:
         elif not self.steering:
             elapsed = time - self.time
             largest = LEAP * self.actuator.max_acceleration * max(elapsed, JUMP_TIME)
+            largest += self.limits.speed
             leaps = self.leaps + 1.0 if abs(velocity - self.velocity) > largest else self.leaps
             if leaps:
                 self.leaps = min(max(leaps - LEAP_DECAY * elapsed, 0.0), 2.0 * LEAPS)

@@ -282,9 +282,7 @@ def test_a_power_stage_that_returns_moves_nothing() -> None:
 
 @every_drive
 @pytest.mark.parametrize("twist", [ZERO_TWIST, FAST])
-def test_a_wheel_that_reports_random_speeds_stops_the_robot(
-    robot: Callable[[], Robot], twist: Twist
-) -> None:
+def test_random_speeds_of_a_wheel_stop_the_robot(robot: Callable[[], Robot], twist: Twist) -> None:
     rig = Rig(robot())
     rig.drive(FAST, 3.0)
     rig.twist = twist
