@@ -61,7 +61,17 @@ def test_what_lasts_the_drive_does_not_count_as_lasting_seconds_too(share: float
     errors = {"radius_error": share * 0.01, "steering_offset_error": share * math.radians(0.5)}
     single, published, _ = covariances(Noise(correlation=2.0, **errors))
     lasting = covariances(LASTING)[1]
-    assert published == pytest.approx(single + (1.0 - share**2) * (lasting - single))
+    # At 1 m/s, 1 % is more than the 2 mm/s of a wheel at rest, which last seconds too.
+    counted = (published - single) / (lasting - single)
+    assert counted == pytest.approx(np.full((3, 3), 1.0 - share**2 / (1.0 + 0.23**2)), abs=0.01)
+
+
+def test_errors_at_rest_last_seconds() -> None:
+    calculator = General(BaseGeometry.from_robot(example_robot("4wd4ws_wide")))
+    joints = JointStates(0.0, *[[0.0] * 4] * 3)
+    estimate = calculator.odometry(joints)
+    published = filter_covariance(calculator.estimator, joints, estimate, PERIOD, 60.0)
+    assert published[0][0] == pytest.approx(200.0 * estimate.covariance[0][0], rel=1e-3)
 
 
 def test_only_motion_counts_as_time_of_lasting_errors() -> None:
@@ -87,7 +97,7 @@ def test_the_filter_is_consistent_about_lasting_errors_at_all_times(
     robot = example_robot("4wd4ws_wide")
     result = study(robot, drive, DRIVE, rate=10.0, seconds=seconds)
     assert 0.5 < result.nees < 2.0
-    assert result.default == pytest.approx(result.nees), "everything may last by default"
+    assert 0.5 < result.default <= result.nees, "everything may last by default"
 
 
 @pytest.mark.parametrize("drive", mostly_exhaustive(BOUNDED))

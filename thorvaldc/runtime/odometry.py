@@ -499,8 +499,8 @@ def _parameters(estimator: TwistEstimator) -> tuple[object, ...]:
 #     q (N + 2 sum over n of (N - n) a^n)  ->  N q (1 + a) / (1 - a) = N q coth(T / 2 tau).
 #
 # For T << tau, the factor is 2 tau / T.  An error that lasts for the whole drive does not count as
-# one of some seconds too: r is the largest share of the variance of a radius or a direction that
-# does not last for the drive.  By default everything may last for the drive, and r = 0.
+# one of some seconds too: r is the largest share of the variance of a speed or a direction that
+# does not last for the drive.  By default only that of a wheel at rest does not.
 #
 # Errors that last for the whole drive: a wrong radius or steering zero with the standard deviation
 # 1 causes the twist error k_b.  After t s of motion, the sum has the variance (t k_b / T)^2, which
@@ -550,9 +550,15 @@ def filter_covariance(
     # The odometry has the same rule for directions that no wheel measures.
     tau, share = LOW_RANK_CORRELATION, 1.0
     if estimate.rank == 3:
-        radius, _, direction = noise.lasting_errors
         tau = noise.correlation
-        share -= min(radius / noise.rolling, direction / noise.direction) ** 2
+        radius, _, offset = noise.lasting_errors
+        rolling, direction = noise.rolling, noise.direction
+        vx, vy, wz = estimate.twist
+        squared = vx * vx + vy * vy + estimator.length2 * wz * wz
+        at_rest = max(noise.speed_floor / rolling, noise.slip_floor / direction)
+        if squared:
+            lasts = min(radius / rolling, offset / direction)
+            share -= lasts * lasts * squared / (squared + at_rest * at_rest)
     factor = 1.0 + share * (sum_of_autocorrelation(tau, period) - 1.0) if tau else 1.0
     lasting = 2.0 * _DRIVE_ERROR_SHARE * min(motion_time, _LONGEST_DRIVE) / period
     xx = xy = xw = yy = yw = ww = 0.0
