@@ -213,7 +213,7 @@ def study(
     for k, twists in enumerate(_estimates(calculators[0], speeds, angles)):
         first = speeds[k, :, 0].tolist(), angles[k, :, 0].tolist()
         joints = CheckedJointStates(k * dt, *first, still)
-        estimate = calculators[0].odometry(joints)
+        estimate = calculators[0].estimator.estimate(joints)
         for calculator, each in zip(calculators, (ekf, default), strict=True):
             published = estimate.covariance
             if covariance == FOR_FILTERS:

@@ -39,6 +39,7 @@ RUNTIME_MODULES = (
     "runtime/calculators/base_geometry",
     "runtime/calculators/twist_fit",
     "runtime/calculators/wheel_causes",
+    "runtime/calculators/wheel_mixture",
     "runtime/calculators/twist_estimator",
     "runtime/calculators/base_calculator",
     "runtime/calculators/steering_branch",

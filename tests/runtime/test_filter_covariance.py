@@ -27,7 +27,7 @@ def covariances(noise: Noise, seconds: float = 0.0) -> tuple[np.ndarray, np.ndar
     seconds of motion."""
     calculator = General(BaseGeometry.from_robot(example_robot("4wd4ws_wide")), None, noise)
     joints = JointStates(0.0, [5.0] * 4, [0.1, -0.1, 0.05, 0.0], [0.0] * 4)
-    estimate = calculator.odometry(joints)
+    estimate = calculator.estimator.estimate(joints)
     published = filter_covariance(calculator.estimator, joints, estimate, PERIOD, seconds)
     errors = calculator.estimator.lasting_errors(joints, estimate, estimate.twist)
     drive = np.array(errors).reshape(-1, 3)

@@ -30,7 +30,7 @@ from typing import Final, NamedTuple
 from thorvaldc.model.spatial import symmetric_eigenvalues
 from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates, NotFiniteError
-from thorvaldc.runtime.calculators import wheel_causes
+from thorvaldc.runtime.calculators import wheel_causes, wheel_mixture
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.twist_fit import (
     ROLL_AND_SIDE,
@@ -511,14 +511,14 @@ class TwistEstimator:
             # assumed variance.
             growth = max(1.0, fits.misfit(fit) / max(freedom, 1))
             fits_of_all = [
-                wheel_causes.with_covariance(fit, growth),
+                wheel_mixture.with_covariance(fit, growth),
                 search.all_encoders_wrong(measurements),
                 search.sliding(measurements, fit, certain=True).fit,
             ]
-            covered = wheel_causes.covering(fit, [1.0, 1.0, 0.25], fits_of_all)
+            covered = wheel_mixture.covering(fit, [1.0, 1.0, 0.25], fits_of_all)
             failed = [k for k, d in enumerate(tests) if d > self.gates[k]]
             return self._result(covered, tests, rank, (), failed)
-        mean, left_out, suspects, sliding = wheel_causes.mixture(hypotheses)
+        mean, left_out, suspects, sliding = wheel_mixture.mixture(hypotheses)
         tests = chi_squares(hypotheses[0].fit)
         return self._result(mean, tests, rank, left_out, suspects, sliding)
 
