@@ -49,6 +49,8 @@ SECONDS = 3.6
 BREAKS = (0.9, 1.7)
 """Earliest and latest time (s) of the break."""
 CASE_FAMILY = "4 steered, wide"
+_WARM_UP = 20
+"""Ticks before the break in which the evaluated odometry runs."""
 _BOUND = 16.266
 """99.9 % quantile of the chi-square distribution with 3 degrees of freedom."""
 
@@ -257,10 +259,10 @@ def _replayed(
     after that."""
     calculator = odometry.calculator
     estimates = []
-    for k, (joints, speeds) in enumerate(zip(states, commanded.tolist(), strict=True)):
+    for k in range(max(first - _WARM_UP, 0), len(states)):
         if isinstance(calculator, _Replay):
-            calculator.commanded = speeds
-        odometry.update(joints, joints.time)
+            calculator.commanded = commanded[k].tolist()
+        odometry.update(states[k], states[k].time)
         if k == first:
             odometry.reset()
         elif k > first:
