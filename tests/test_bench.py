@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import bench
-from bench import broken_sensors, world_breaks, world_robots
+from bench import broken_sensors, broken_world, world_breaks, world_robots
 from bench.broken_world import Recording, evaluate, record
 from bench.figure import Figure, in_turns
 from bench.healthy_readings import healthy_fit
@@ -201,3 +201,24 @@ def test_broken_sensors_are_right_until_the_break(
             assert not np.allclose(values[trial, first + 1 :], right[trial, first + 1 :])
     if name not in broken_sensors.ALSO_COMMANDED:
         assert healthy_share(world, recording) < 0.9
+
+
+def test_recordings_are_evaluated_from_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(broken_world, "SAMPLE", 1)
+    broken_world.main("record", str(tmp_path), "tricycle")
+    broken_world.main("evaluate", str(tmp_path), "tricycle", "encoders")
+    names = [line.split("  ")[0] for line in capsys.readouterr().out.splitlines()[1:]]
+    kinds = [name for name in broken_sensors.CLASSES if "encoders" in name]
+    assert names == [f"tricycle; {kind}{gyro}" for kind in kinds for gyro in ("", ", gyro")]
+
+
+def test_a_class_has_the_figure_of_its_worst_family(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(broken_world, "TRIALS", 1)
+    monkeypatch.setattr(world_robots, "NAMES", ("4 steered, wide", "tricycle"))
+    monkeypatch.setattr(broken_world, "CLASSES", {"wall": world_breaks.CLASSES["wall"]})
+    monkeypatch.setattr(broken_world, "CASES", {})
+    figures = list(broken_world.figures())
+    assert [figure.name for figure in figures] == ["wall: outside", "wall, gyro: outside"]
+    assert all("tricycle: " in figure.how for figure in figures)
