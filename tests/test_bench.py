@@ -12,10 +12,11 @@ import pytest
 
 import bench
 from bench import broken_sensors, broken_world, world_breaks, world_robots
-from bench.broken_world import Recording, evaluate, record
+from bench.broken_world import evaluate, record
 from bench.figure import Figure, in_turns
 from bench.healthy_readings import healthy_fit
 from bench.machine_load import MachineLoad
+from bench.recorded_trials import Recording
 from bench.world_breaks import Break, World
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
 
