@@ -72,6 +72,10 @@ def test_functions_are_measured_in_turns_without_their_first_calls() -> None:
 # -- broken_world ----------------------------------------------------------------------------------
 
 
+SPINNING = Break(slippery=(0, 1, 2, 3), friction=0.02, hold=1e5)
+"""All four wheels spin on a body that is held."""
+
+
 @pytest.fixture(scope="module")
 def world() -> World:
     return World(*world_robots.robot("4 steered, wide"))
@@ -155,10 +159,20 @@ def test_an_error_that_no_reading_shows_is_hidden(
 def test_wheels_that_spin_on_a_held_body_look_healthy(
     world: World, after_break: Callable[[Break], Recording]
 ) -> None:
-    recording = after_break(Break(slippery=(0, 1, 2, 3), friction=0.02, hold=1e5))
+    recording = after_break(SPINNING)
     assert travelled(recording) < 0.01
     assert healthy_share(world, recording) > 0.9
     assert healthy_share(world, recording, gyro=True) < 0.9  # it has to turn
+
+
+def test_a_gyro_sees_that_a_held_robot_with_skidding_wheels_does_not_turn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(world_breaks.CLASSES, "test", lambda rng, body: SPINNING)
+    world = World(*world_robots.robot("4 skid"))
+    recording = record(world, "test", 4)
+    assert healthy_share(world, recording) > 0.9
+    assert healthy_share(world, recording, gyro=True) < 0.9
 
 
 @pytest.mark.parametrize(
