@@ -35,6 +35,7 @@ from bench.world_breaks import AT_REST, CASES, CLASSES, GOOD_GROUND, Case, World
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise, TwistEstimate
+from thorvaldc.runtime.calculators.base_geometry import FixedWheels
 from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.odometry import Odometry
@@ -48,6 +49,11 @@ TRIALS, SAMPLE = 400, 40
 SECONDS = 3.6
 BREAKS = (0.9, 1.7)
 """Earliest and latest time (s) of the break."""
+_LEAST, _MOST = 0.2, 1.3
+"""Least and largest torque of the drives, relative to that with which a wheel spins if the
+coefficient of friction is 1."""
+_LEAST_SKIDDING = 0.8
+"""Least torque with which wheels that skid in turns can turn."""
 CASE_FAMILY = "4 steered, wide"
 _WARM_UP = 20
 """Ticks before the break in which the evaluated odometry runs."""
@@ -111,7 +117,9 @@ def _trial(world: World, name: str, number: int) -> _Trial:
     rng = random.Random(f"{robot.name} {name} {number}")
     case = CASES.get(name)
     grip = np.mean([wheel.load * wheel.radius for wheel in robot.wheels if wheel.driven])
-    torque = case.torque if case else rng.uniform(0.2, 1.3) * float(grip)
+    skids = FixedWheels(BaseGeometry.from_robot(robot).wheels).skids
+    least = _LEAST_SKIDDING if skids else _LEAST
+    torque = case.torque if case else rng.uniform(least, _MOST) * float(grip)
     base = world.restart(torque, _wheel_errors(rng, robot))
     driver = BaseDriver(robot, base)
     dt = 1.0 / robot.driver.rate
