@@ -3,7 +3,7 @@ estimator: the noise model and the equations of the module ``twist_fit``, over a
 
 The readings of a tick are healthy if no wheel deviates from its command, and none disagrees with
 the others by more than the chi-square that 99.2 % of the ticks of healthy robots stay below.
-Wheels that skid in turns always disagree, and are not tested.
+Wheels that skid in turns always disagree, and are not tested; a gyro is.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ FOLLOWING, FOLLOWING_FLOOR = 0.03, 0.015
 """Relative error, and error in m/s, of a wheel that follows its command."""
 _FALSE_ALARMS = 0.008
 _STEPS = 3
+_GYRO = -1
+"""Stands for the gyro in the place of a wheel."""
 
 
 class Readings(Protocol):
@@ -80,6 +82,8 @@ def healthy_fit(
         zero = np.zeros(speeds.shape[:2])
         rows.append((zero, zero, zero + 1.0))
         values.append((yaw_rates[:, 1:] + yaw_rates[:, :-1]) / 2.0)
+        owners.append(_GYRO)
+        is_rolling.append(False)
     h = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
     z = np.stack(values, axis=-1)
     variances = np.ones_like(z)
@@ -115,6 +119,8 @@ def _variances(
     vx, vy, wz = np.moveaxis(twists, -1, 0)
     variances = np.full(shape, noise.gyro**2)
     for k, (i, rolling) in enumerate(zip(owners, is_rolling, strict=True)):
+        if i == _GYRO:
+            continue
         w = geometry.wheels[i]
         moving = (vx - wz * w.y) ** 2 + (vy + wz * w.x) ** 2
         ratio, floor = noise.angle, noise.slip_floor
@@ -129,7 +135,7 @@ def _variances(
 def _agree(
     h: Array, residuals: Array, variances: Array, covariances: Array, owners: list[int]
 ) -> dict[int, NDArray[np.bool_]]:
-    """Returns for each wheel in which ticks its measurements agree with those of the others.
+    """Returns for each wheel in which ticks its measurements agree with all others.
 
     The residual r of a wheel has the covariance S = R - H P H', and the chi-square r' S^-1 r.
     """

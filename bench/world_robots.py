@@ -11,10 +11,10 @@ from bench.robots import built, example
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
 
-_FRAME = "frame: {type: frame/tube_rectangular, params: {length: 1.1 m, width: 0.9 m}}"
-_BATTERY = (
-    "battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0.445, 0.07]}, can: 1}"
-)
+_SIZE = "{length: 1.1 m, width: 0.9 m, cross_members: [0]}"
+_FRAME = f"frame: {{type: frame/tube_rectangular, params: {_SIZE}}}"
+_PLACE = "{parent: frame, xyz: [0, 0, 0.07], rpy: [0, 0, 90 deg]}"
+_BATTERY = f"battery: {{type: battery/enclosure, mount: {_PLACE}, can: 1}}"
 _CORNERS = ("front_left", "front_right", "rear_left", "rear_right")
 _THREE = ("front_center", "rear_left", "rear_right")
 
