@@ -50,8 +50,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-# Half a million objects describe the tests, and stay to the end.  A garbage collection that looks at
-# them takes 0.5 s; all collections took a tenth of the processor time of the tests.
+# Half a million objects describe the tests, and stay to the end.  A garbage collection that looks
+# at them takes 0.5 s; all collections took a tenth of the processor time of the tests.
 gc.disable()
 
 

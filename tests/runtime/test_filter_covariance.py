@@ -9,7 +9,7 @@ import pytest
 
 from bench.filters import BOUNDED, DRIVE, MIXED, study
 from tests.examples import example_robot
-from tests.slow import mostly_exhaustive
+from tests.slow import mostly_exhaustive, mostly_slow
 from thorvaldc.model.settings import FOR_FILTERS, MEASURED
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
@@ -62,7 +62,7 @@ def test_before_the_first_joint_states_the_covariance_is_that_of_the_estimate() 
 
 
 @pytest.mark.parametrize("drive", mostly_exhaustive(BOUNDED))
-@pytest.mark.parametrize("kind", ["white", "lasting 2 s", DRIVE, MIXED])
+@pytest.mark.parametrize("kind", mostly_slow([MIXED, "white", "lasting 2 s", DRIVE]))
 def test_the_filter_is_consistent_after_60_s(kind: str, drive: str) -> None:
     # White errors are as small as the error of the filter's Euler steps: they need short ones.
     rate, runs = (50.0, 50) if kind == "white" else (10.0, 200)
