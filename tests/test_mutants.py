@@ -56,6 +56,30 @@ def test_the_lines_of_a_mutant_are_those_of_its_statement(
     assert lines == {1: range(0), 4: range(3, 6), 7: range(6, 9), 9: range(9, 10)}
 
 
+def test_a_verdict_counts_until_its_files_change(
+    tool: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = tmp_path / "example.py"
+    source.write_text("def twice(number: int) -> int:\n    return 2 * number + 1\n")
+    monkeypatch.setattr(tool, "ROOT", tmp_path)
+    monkeypatch.setattr(tool, "RESULTS", tmp_path / "build" / "mutants.jsonl")
+    mutants = tool.mutants_of(Path("example.py"))
+    noticed, survivor, unjudged, *_ = mutants
+    results = tool.Results()
+    results.add(noticed, tool.NEAR, "files", tool.Verdict("test_twice", 1, 0), 0.1)
+    results.add(survivor, tool.NEAR, "files", tool.Verdict("", 7, 2), 0.1)
+
+    def known(files: str, stage: str = tool.NEAR) -> list[bool]:
+        later = tool.Results()
+        return [later.find(m, stage, files) is not None for m in (noticed, survivor, unjudged)]
+
+    assert known("files") == [True, True, False]
+    assert known("other files") == [True, False, False], "another test may notice a survivor"
+    assert known("files", tool.FAR) == [False, False, False]
+    source.write_text(source.read_text() + "LIMIT = 3\n")
+    assert known("files") == [False, False, False]
+
+
 def test_pytest_finds_tests_with_any_parameters(tool: ModuleType, tmp_path: Path) -> None:
     values = ["", "[]", "a::b", "{x: 1}", "a b", "1.5"]
     file = tmp_path / "test_example.py"

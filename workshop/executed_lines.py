@@ -24,7 +24,7 @@ import tempfile
 import time
 import traceback
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -63,11 +63,9 @@ disable_warnings = no-data-collected,module-not-imported,module-not-measured,cou
 """
 
 
-OPTIONS = (
-    *("-n0", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"),
-    *("-m", "not exhaustive"),
-)
-"""The tests are those of CI."""
+OPTIONS = ("-n0", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
+OF_CI = "not exhaustive"
+"""The marker expression of the tests of CI."""
 
 
 class Outcome(NamedTuple):
@@ -81,8 +79,11 @@ class Outcome(NamedTuple):
 class _Recorder:
     """A plugin of pytest: the durations of tests, the first failure, the context of coverage."""
 
-    def __init__(self, measurement: coverage.Coverage | None) -> None:
+    def __init__(
+        self, measurement: coverage.Coverage | None, left_out: Collection[str] = ()
+    ) -> None:
         self.measurement = measurement
+        self.left_out = left_out
         self.end = time.monotonic() + FILE_LIMIT
         self.seconds: dict[str, float] = defaultdict(float)
         self.failed: list[str] = []
@@ -90,6 +91,10 @@ class _Recorder:
     def _switch(self, context: str) -> None:
         if self.measurement is not None:
             self.measurement.switch_context(context)
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        if self.left_out:
+            items[:] = [item for item in items if item.nodeid not in self.left_out]
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
@@ -134,15 +139,28 @@ def copy_of_the_tree(folder: Path) -> Path:
 
 
 def run_tests(
-    tree: Path, tests: Iterable[str], limit_s: float, test_limit_s: float = TEST_LIMIT
+    tree: Path,
+    tests: Iterable[str],
+    limit_s: float,
+    test_limit_s: float = TEST_LIMIT,
+    left_out: Collection[str] = (),
+    all_robots: bool = False,
 ) -> Outcome:
-    """Runs tests in a forked process up to the first failure, with the package of ``tree``."""
+    """Runs tests in a forked process up to the first failure, with the package of ``tree``.
+
+    - ``left_out``: names of tests that do not run;
+    - ``all_robots``: runs not only the tests of CI, and for all robots.
+    """
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder, "result")
 
         def child() -> None:
-            recorder = _Recorder(None)
+            recorder = _Recorder(None, left_out)
             options = [*OPTIONS, "-x", f"--timeout={test_limit_s:.0f}"]
+            if all_robots:
+                os.environ["ROBOTS"] = "all"
+            else:
+                options += ["-m", OF_CI]
             status = pytest.main([*options, *arguments_of(tests)], plugins=[recorder])
             failure = recorder.failed[0] if recorder.failed else ""
             result.write_text(json.dumps([failure, int(status)]))
@@ -209,7 +227,7 @@ def test_files() -> list[str]:
     return [name for name in names if not name.startswith(LEFT_OUT)]
 
 
-def _digest(name: str, tree: Path = ROOT) -> str:
+def digest_of(name: str, tree: Path = ROOT) -> str:
     return hashlib.sha256((tree / name).read_bytes()).hexdigest()
 
 
@@ -217,12 +235,12 @@ def _package(tree: Path) -> dict[str, str]:
     """Returns the digest of each file of the package."""
     files = sorted((tree / "thorvaldc").rglob("*.py"))
     names = [str(path.relative_to(tree)) for path in files]
-    return {name: _digest(name, tree) for name in names}
+    return {name: digest_of(name, tree) for name in names}
 
 
 def is_recorded(name: str) -> bool:
     file = CACHE / name / "tests.json"
-    return file.exists() and json.loads(file.read_text())["sha256"] == _digest(name)
+    return file.exists() and json.loads(file.read_text())["sha256"] == digest_of(name)
 
 
 def record(name: str, tree: Path) -> None:
@@ -232,7 +250,7 @@ def record(name: str, tree: Path) -> None:
     folder.mkdir(parents=True)
     settings = folder / "coveragerc"
     settings.write_text(SETTINGS.format(folder=folder, tree=tree))
-    stored: dict[str, Any] = {"sha256": _digest(name, tree), "tree": str(tree), "tests": {}}
+    stored: dict[str, Any] = {"sha256": digest_of(name, tree), "tree": str(tree), "tests": {}}
     stored["package"] = _package(tree)
     (folder / "tests.json").write_text(json.dumps(stored))  # if the time limit ends the tests
 
@@ -242,7 +260,7 @@ def record(name: str, tree: Path) -> None:
         os.environ["COVERAGE_PROCESS_START"] = str(settings)  # for child processes
         recorder = _Recorder(measurement)
         measurement.start()
-        options = [*OPTIONS, f"--timeout={TEST_LIMIT}", "-rN", "--tb=line"]
+        options = [*OPTIONS, "-m", OF_CI, f"--timeout={TEST_LIMIT}", "-rN", "--tb=line"]
         pytest.main([*options, name], plugins=[recorder])
         measurement.stop()
         measurement.save()
@@ -277,13 +295,14 @@ class ExecutedLines:
     To be used in the process that creates it: ``coverage`` erases its file after a fork.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, files: Iterable[str]) -> None:
+        """``files``: the test files whose recordings are used."""
         self.seconds: dict[str, float] = {}
         self.fails: set[str] = set()
         """Tests that failed without a mutant."""
         self._recordings: dict[str, _Recording] = {}
         self._package = _package(ROOT)
-        for name in test_files():
+        for name in files:
             if is_recorded(name):
                 stored = json.loads((CACHE / name / "tests.json").read_text())
                 data = coverage.CoverageData(basename=str(CACHE / name / "all"))
