@@ -92,12 +92,10 @@ def spin(rehearsal: Rehearsal) -> None:
 
 def test_a_wheel_that_turns_without_a_command_is_seen() -> None:
     case = FaultCase("a wheel turns", "any", (IDLE,), spin, {})
-    matrix = FaultMatrix(ROBOT(), cases=[case])
-    (row,) = matrix.rows()
-    assert row.reactions[IDLE].moved_unasked
-    assert row.reactions[IDLE].unasked == pytest.approx(1.0, abs=0.05)
-    assert "without a command" in row.broken[IDLE][-1]
-    assert not row.passed
+    result = FaultMatrix(ROBOT()).react(case, IDLE, Evidence())
+    assert result.moved_unasked
+    assert result.unasked == pytest.approx(1.0, abs=0.05)
+    assert "without a command" in broken_limits(ROBOT(), case, IDLE, result)[-1]
 
 
 def test_a_device_that_cannot_have_the_fault_is_named() -> None:
@@ -105,9 +103,9 @@ def test_a_device_that_cannot_have_the_fault_is_named() -> None:
         raise ValueError("it has no watchdog")
 
     case = FaultCase("impossible", "any", (IDLE,), impossible, {IDLE: 0.1})
-    (row,) = FaultMatrix(ROBOT(), cases=[case]).rows()
-    assert row.reactions[IDLE].reaction == "not simulated"
-    assert row.passed
+    result = FaultMatrix(ROBOT()).react(case, IDLE, Evidence())
+    assert result.reaction == "not simulated"
+    assert not broken_limits(ROBOT(), case, IDLE, result)
 
 
 SAME = """
