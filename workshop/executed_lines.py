@@ -17,13 +17,13 @@ import importlib
 import json
 import os
 import re
+import resource
 import shutil
 import signal
 import sys
 import tempfile
 import time
 import traceback
-from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -53,6 +53,8 @@ TEST_LIMIT = 120
 """s for one test while the lines are recorded."""
 FILE_LIMIT = 300.0
 """s for all tests of a file while the lines are recorded; later tests are left out."""
+BUSY = 20.0
+"""All times are processor times; a process on a busy computer may need so much more real time."""
 SETTINGS = """[run]
 data_file = {folder}/lines
 parallel = true
@@ -84,8 +86,9 @@ class _Recorder:
     ) -> None:
         self.measurement = measurement
         self.left_out = left_out
-        self.end = time.monotonic() + FILE_LIMIT
-        self.seconds: dict[str, float] = defaultdict(float)
+        self.end = cpu_seconds() + FILE_LIMIT
+        self.collected = 0
+        self.seconds: dict[str, float] = {}
         self.failed: list[str] = []
 
     def _switch(self, context: str) -> None:
@@ -95,6 +98,16 @@ class _Recorder:
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         if self.left_out:
             items[:] = [item for item in items if item.nodeid not in self.left_out]
+
+    def pytest_collection_finish(self, session: pytest.Session) -> None:
+        self.collected = len(session.items)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        before = cpu_seconds()
+        result = yield
+        self.seconds[item.nodeid] = cpu_seconds() - before
+        return result
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
@@ -107,17 +120,22 @@ class _Recorder:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_teardown(self, item: pytest.Item) -> None:
         self._switch(item.nodeid.partition("::")[0])
-        if self.measurement is not None and time.monotonic() > self.end:
+        if self.measurement is not None and cpu_seconds() > self.end:
             item.session.shouldstop = "the time limit of the file"
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        self.seconds[report.nodeid] += report.duration
         if report.failed:
             self.failed.append(report.nodeid)
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         if report.failed:
             self.failed.append(report.nodeid)
+
+
+def cpu_seconds() -> float:
+    """Returns the processor time of this process and of its children that have ended."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
 
 
 def import_dependencies() -> None:
@@ -156,7 +174,9 @@ def run_tests(
 
         def child() -> None:
             recorder = _Recorder(None, left_out)
-            options = [*OPTIONS, "-x", f"--timeout={test_limit_s:.0f}"]
+            options = [*OPTIONS, "-x", f"--timeout={BUSY * test_limit_s:.0f}"]
+            seconds = round(limit_s)  # of processor time, as in an endless loop
+            resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 10))
             if all_robots:
                 os.environ["ROBOTS"] = "all"
             else:
@@ -165,7 +185,7 @@ def run_tests(
             failure = recorder.failed[0] if recorder.failed else ""
             result.write_text(json.dumps([failure, int(status)]))
 
-        if not _fork(tree, child, limit_s, Path(folder, "log")):
+        if not _fork(tree, child, BUSY * limit_s, Path(folder, "log")):
             return Outcome("the time limit", -1)
         if not result.exists():
             return Outcome("an end of the test process", -1)
@@ -243,8 +263,11 @@ def is_recorded(name: str) -> bool:
     return file.exists() and json.loads(file.read_text())["sha256"] == digest_of(name)
 
 
-def record(name: str, tree: Path) -> None:
-    """Runs a test file in the copy ``tree`` and stores which test executes which line."""
+def record(name: str, tree: Path) -> int:
+    """Runs a test file in the copy ``tree`` and stores which test executes which line.
+
+    Returns the number of tests that the limits left out, or -1 if they ended the process.
+    """
     folder = CACHE / name
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -260,7 +283,8 @@ def record(name: str, tree: Path) -> None:
         os.environ["COVERAGE_PROCESS_START"] = str(settings)  # for child processes
         recorder = _Recorder(measurement)
         measurement.start()
-        options = [*OPTIONS, "-m", OF_CI, f"--timeout={TEST_LIMIT}", "-rN", "--tb=line"]
+        timeout = f"--timeout={BUSY * TEST_LIMIT:.0f}"
+        options = [*OPTIONS, "-m", OF_CI, timeout, "-rN", "--tb=line"]
         pytest.main([*options, name], plugins=[recorder])
         measurement.stop()
         measurement.save()
@@ -268,9 +292,10 @@ def record(name: str, tree: Path) -> None:
             test: [round(seconds, 3), test not in recorder.failed]
             for test, seconds in recorder.seconds.items()
         }
+        stored["left_out"] = recorder.collected - len(recorder.seconds)
         (folder / "tests.json").write_text(json.dumps(stored))
 
-    _fork(tree, child, FILE_LIMIT + 2.0 * TEST_LIMIT, folder / "log")
+    _fork(tree, child, BUSY * (FILE_LIMIT + 2.0 * TEST_LIMIT), folder / "log")
     parts = coverage.CoverageData(basename=str(folder / "all"))
     for part in sorted(folder.glob("lines.*")):
         data = coverage.CoverageData(basename=str(part))
@@ -279,6 +304,8 @@ def record(name: str, tree: Path) -> None:
             parts.update(data)
         part.unlink()
     parts.write()
+    left_out: int = json.loads((folder / "tests.json").read_text()).get("left_out", -1)
+    return left_out
 
 
 class _Recording(NamedTuple):

@@ -276,6 +276,10 @@ def tests_of(mutant: Mutant, executed: ExecutedLines) -> tuple[list[list[str]], 
     return list(filter(None, batches)), left_out
 
 
+class UndecidedError(RuntimeError):
+    """The tests of a mutant cannot run, with and without it."""
+
+
 class Verdict(NamedTuple):
     """What the tests of a stage say about a mutant."""
 
@@ -338,9 +342,11 @@ def _failure(
                 return failed
             if without_mutant.status == pytest.ExitCode.USAGE_ERROR:
                 raise RuntimeError(f"pytest does not find all of {', '.join(again)}")
-            print(f"left out, fails without a mutant: {', '.join(again)}", flush=True)
             if not is_test:
-                return ""
+                raise UndecidedError(
+                    f"{failed} without the mutant, too, of {', '.join(tests)[:500]}"
+                )
+            print(f"left out, fails without a mutant: {failed}", flush=True)
             left_out.add(failed)
     finally:
         _write(tree / mutant.path, original)
@@ -405,16 +411,20 @@ def _start_work(trees: multiprocessing.SimpleQueue[str], files: list[str]) -> No
     _executed = ExecutedLines(files)
 
 
-def _record(name: str) -> str:
-    record(name, _tree)
-    return name
+def _record(name: str) -> tuple[str, int]:
+    return name, record(name, _tree)
 
 
-def _work(task: tuple[Mutant, str]) -> tuple[Mutant, Verdict, float]:
-    """Returns a mutant, the verdict, and the seconds of CPU."""
+def _work(task: tuple[Mutant, str]) -> tuple[Mutant, Verdict | str, float]:
+    """Returns a mutant, the verdict or why there is none, and the seconds of CPU."""
     mutant, stage = task
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    judged = (judge_with_all_robots if stage == ALL_ROBOTS else judge)(mutant, _tree, _executed)
+    judge_it = judge_with_all_robots if stage == ALL_ROBOTS else judge
+    judged: Verdict | str
+    try:
+        judged = judge_it(mutant, _tree, _executed)
+    except UndecidedError as error:
+        judged = str(error)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return mutant, judged, cpu
@@ -431,21 +441,22 @@ def record_missing(files: list[str], jobs: int) -> None:
         for number in range(jobs):
             trees.put(f"{folder}/{number}")
         with context.Pool(jobs, _start_recording, (trees,)) as pool:
-            for number, name in enumerate(pool.imap_unordered(_record, missing), 1):
-                print(f"{number}/{len(missing)} {name}", flush=True)
+            recorded = pool.imap_unordered(_record, missing)
+            for number, (name, left_out) in enumerate(recorded, 1):
+                words = f", {left_out} tests LEFT OUT by the limits of time" if left_out else ""
+                print(f"{number}/{len(missing)} {name}{words}", flush=True)
 
 
 def run_stage(
     stage: str, mutants: list[Mutant], files: list[str], jobs: int, results: Results
-) -> list[dict[str, Any]]:
-    """Judges the mutants that have no verdict yet; returns the verdict of each."""
+) -> list[dict[str, Any] | None]:
+    """Judges the mutants that have no verdict yet; returns the verdict of each, or ``None``."""
     digest = hashlib.sha256("".join(f"{f} {digest_of(f)}\n" for f in files).encode()).hexdigest()
     open_mutants = [m for m in mutants if results.find(m, stage, digest) is None]
     if open_mutants:
         record_missing(files, jobs)
         _judge_all(stage, open_mutants, files, digest, jobs, results)
-    verdicts = [results.find(mutant, stage, digest) for mutant in mutants]
-    return [verdict for verdict in verdicts if verdict is not None]
+    return [results.find(mutant, stage, digest) for mutant in mutants]
 
 
 def _judge_all(
@@ -459,6 +470,9 @@ def _judge_all(
         tasks = [(mutant, stage) for mutant in mutants]
         with context.Pool(jobs, _start_work, (trees, files)) as pool:
             for mutant, verdict, cpu in pool.imap_unordered(_work, tasks):
+                if isinstance(verdict, str):
+                    print(f"NOT JUDGED {mutant.describe()}  {verdict}", flush=True)
+                    continue
                 results.add(mutant, stage, digest, verdict, cpu)
                 word = f"noticed by {verdict.failure}" if verdict.failure else "open"
                 print(f"{stage} {cpu:6.1f} s {mutant.describe()}  {word}", flush=True)
@@ -471,23 +485,24 @@ def run(layer: str, mutants: list[Mutant], jobs: int, last: str) -> bool:
     near = [name for name in test_files() if name.startswith(f"tests/{layer}/")]
     far = [name for name in test_files() if name not in near]
     stages = {NEAR: near, FAR: far, ALL_ROBOTS: test_files()}
-    left, cpu = mutants, 0.0
+    left, cpu, judged = mutants, 0.0, len(mutants)
     shares = []
     left_out: Counter[Mutant] = Counter()
     for stage in STAGES[: STAGES.index(last) + 1]:
-        verdicts = run_stage(stage, left, stages[stage], jobs, results)
-        cpu += sum(verdict["cpu"] for verdict in verdicts)
-        left_out.update({m: v["left_out"] for m, v in zip(left, verdicts, strict=True)})
-        survivors = [m for m, v in zip(left, verdicts, strict=True) if not v["failure"]]
-        shares.append(f"{stage}: {len(left) - len(survivors)} of {len(left)}")
-        left = survivors
+        verdicts = zip(left, run_stage(stage, left, stages[stage], jobs, results), strict=True)
+        known = [(mutant, verdict) for mutant, verdict in verdicts if verdict is not None]
+        cpu += sum(verdict["cpu"] for _, verdict in known)
+        left_out.update({mutant: verdict["left_out"] for mutant, verdict in known})
+        judged -= len(left) - len(known)
+        left = [mutant for mutant, verdict in known if not verdict["failure"]]
+        shares.append(f"{stage}: {len(known) - len(left)} of {len(known)}")
     for mutant in left:
         print(f"SURVIVED {mutant.describe()} ({left_out[mutant]} tests of CI not run)")
-    noticed = len(mutants) - len(left)
-    share = noticed / max(len(mutants), 1)
-    print(f"{layer}: {share:.0%} of {len(mutants)} mutants noticed ({'; '.join(shares)}), ", end="")
-    print(f"{cpu / max(noticed, 1):.1f} s of CPU for each of them", flush=True)
-    return not left
+    noticed = judged - len(left)
+    print(f"{layer}: {noticed / max(judged, 1):.0%} of {judged} mutants noticed ", end="")
+    print(f"({'; '.join(shares)}), {cpu / max(noticed, 1):.1f} s of CPU for each of them", end="")
+    print(f", {len(mutants) - judged} not judged" * (judged < len(mutants)), flush=True)
+    return noticed == len(mutants)
 
 
 def main() -> int:
