@@ -74,12 +74,12 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> Mixture:
     vy = float_sum(p * f.vy for p, f in zip(probabilities, fits, strict=True))
     wz = float_sum(p * f.wz for p, f in zip(probabilities, fits, strict=True))
     mean = best.fit._replace(vx=vx, vy=vy, wz=wz)
-    least = [_LEAST_WEIGHT if h.fit is h.others else _LEAST_WRONG for h in hypotheses]
-    mean = covering(mean, list(map(max, probabilities, least)), fits)
+    weights = [_LEAST_WEIGHT if h.fit is h.others else _LEAST_WRONG for h in hypotheses]
+    mean = covering(mean, list(map(max, probabilities, weights)), fits)
     sliding = {k for h in hypotheses for k in h.sliding}
     # Nothing is left out on the word of a motor that turns as commanded.
-    least = _SURE if sliding or len(best.wrong) > 1 else _MIN_PROBABILITY
-    if best.wrong and probabilities[0] > least:
+    needed = _SURE if sliding or len(best.wrong) > 1 else _MIN_PROBABILITY
+    if best.wrong and probabilities[0] > needed:
         return Mixture(mean, best.wrong, (), ())
     suspects = tuple({k for h in hypotheses for k in h.wrong})
     return Mixture(mean, (), suspects, tuple(sliding))
