@@ -67,7 +67,7 @@ class Share(NamedTuple):
     - ``trials``, ``hidden``: trials outside of the bound of the pose that the readings show, and
       those that they do not show.
     - ``ticks``, ``hidden_ticks``: the same for ticks and the bound of the twist.
-    - ``silent``: ticks outside without a left out wheel or a suspect.
+    - ``silent``: ticks outside in which no wheel is left out, doubted or said to slide.
     """
 
     trials: float
@@ -246,7 +246,7 @@ def evaluate(robot: Robot, recording: Recording, *, gyro: bool) -> Share:
         square = (errors * solved).sum(1)
         squares.append(square)
         wrong = square > _BOUND
-        unnamed = np.array([not (e.dropped or e.suspects) for e in estimates])
+        unnamed = np.array([not (e.dropped or e.suspects or e.sliding) for e in estimates])
         tick_counts += np.array(
             [(wrong & ~healthy).sum(), (wrong & healthy).sum(), (wrong & unnamed).sum()]
         )

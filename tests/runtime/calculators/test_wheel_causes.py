@@ -133,7 +133,7 @@ def test_a_gyro_that_contradicts_all_wheels_names_a_robot_that_slides() -> None:
 
 
 def test_wheels_that_a_push_turns_outvote_one_that_stands() -> None:
-    """They contradict their commands and agree, as several stuck encoders would by accident only."""
+    """They contradict their commands and agree, as stuck encoders would by accident only."""
     states = joints(FOUR, Twist(0.6, 0.0, 0.0))
     estimate = estimator(FOUR).estimate(with_fault(states, 3, "0"), [0.0] * 4)
     assert estimate.dropped == (3,)
