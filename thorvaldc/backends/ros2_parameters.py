@@ -25,7 +25,7 @@ HEADER = "# Made by thorvaldc from the robot's file; changes here are lost.\n"
 FILTER_NOISE = """\
 # An EKF takes the errors of twists as independent, and those of wheels last. The pose of the filter
 # has the right covariance if the robot file says how long, in the section `driver`:
-#   all may last for the whole drive (default, never too little):
+#   all may last for the whole drive (default):
 #     noise: {}
 #   some seconds, such as those of ground and tyres:
 #     noise: {correlation: 2 s, radius_error: 0, steering_offset_error: 0}

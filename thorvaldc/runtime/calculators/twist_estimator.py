@@ -1,4 +1,4 @@
-"""Estimator of the robot's twist from its joint states, with rejection of faulty wheels.
+"""Estimator of the robot's twist from its joint states, with the causes of wheels that disagree.
 
 Steps of an estimate (the module ``twist_fit`` derives the equations):
 
@@ -8,7 +8,8 @@ Steps of an estimate (the module ``twist_fit`` derives the equations):
    option ``EstimatorOptions.polish`` adds more Gauss-Newton steps.
 3.  A chi-square test compares the measurements of each wheel with the measurements of all other
     wheels.
-4.  If a wheel fails its test, ``wheel_causes`` searches for the faulty wheels.
+4.  If a wheel fails its test, or contradicts its command, ``wheel_causes`` finds the hypotheses
+    that explain the readings, and the estimate is their mixture (``wheel_mixture``).
 
 For every wheel that does not swivel, a side slip of 0 counts as a measurement.  Every wheel with an
 encoder measures its rolling speed.  If the contact of a wheel lies beside or behind its steering
@@ -73,10 +74,11 @@ class TwistEstimate(NamedTuple):
       Each chi-square has two degrees of freedom, or one degree of freedom for a passive wheel.  The
       chi-square of a wheel that is not tested is 0. ``chi_squares`` is empty if the calculator does
       not test wheels.
-    - ``dropped``: indices of the faulty wheels.  The estimator has left out one or both
-      measurements of each faulty wheel.
-    - ``suspects``: indices of the wheels that may be faulty, if neither the other wheels nor the
-      commands decide.  The covariance covers all cases.
+    - ``dropped``: indices of the wheels that are clearly wrong.  The estimator has left out one or
+      both measurements of each of them.
+    - ``suspects``: indices of the wheels that may be wrong, if nothing decides.
+    - ``sliding``: indices of the wheels that may slide over the ground.  The covariance covers all
+      cases.
     """
 
     twist: Twist
@@ -93,8 +95,8 @@ class EstimatorOptions:
     """Options of the twist estimator.
 
     - ``gate``: share of the ticks in which the estimator may reject a wheel of a healthy robot.
-    - ``faulty``: largest number of faulty wheels to leave out although they follow their commands,
-      0 to 2.  If ``faulty`` is 0, wheels are tested but never left out.
+    - ``faulty``: largest number of wrong wheels to leave out although they follow their commands, 0
+      to 2.  If ``faulty`` is 0, wheels are tested but never left out.
     - ``polish``: number of additional Gauss-Newton steps.  Each additional Gauss-Newton step brings
       the estimated twist closer to the maximum-likelihood estimate.
     """
@@ -118,8 +120,7 @@ class TwistEstimator:
     The documentation of the module ``twist_estimator`` lists the steps of an estimate.
 
     The estimator leaves out only the wrong measurement of a faulty wheel, because a slipping wheel
-    still measures its direction.  If no combination of faulty wheels explains the misfit, the
-    estimator uses all wheels and increases the covariance with the misfit.
+    still measures its direction.
 
     - ``wheels``: constants of the wheels that do not swivel.
     - ``gates``: chi-square above which a wheel is suspect, for each wheel that does not swivel.
@@ -218,7 +219,7 @@ class TwistEstimator:
         """Estimates the twist that agrees best with the joint states, with its covariance and rank.
 
         ``commanded``: last commanded speed (rad/s) of each wheel, or ``None`` if the commands are
-        unknown.  The commands only help to find out which wheels are faulty.
+        unknown.  The commands only help to find out why wheels disagree.
 
         Raises ``NotFiniteError`` if a joint state is not a finite number, or so large that the
         result is not finite.
@@ -241,7 +242,7 @@ class TwistEstimator:
         if self.options.faulty:
             disagree = any(map(operator.gt, tests, self.gates))
             if disagree or self.may_deviate(states.speeds, commanded):
-                return self._reject_wheels(
+                return self._mixture(
                     measurements, fit, tests, prior, states, rank, commanded, disagree
                 )
         return self._result(fit, tests, rank)
@@ -473,7 +474,7 @@ class TwistEstimator:
 
     # -- rejection and result -----------------------------------------------------------
 
-    def _reject_wheels(
+    def _mixture(
         self,
         measurements: list[Measurement],
         fit: Fit,
@@ -484,10 +485,10 @@ class TwistEstimator:
         commanded: Sequence[float] | None,
         disagree: bool,
     ) -> TwistEstimate:
-        """Returns the estimate without the faulty wheels.
+        """Returns the mixture of the hypotheses that explain the readings.
 
-        If no combination of faulty wheels explains the misfit, the estimate uses all wheels and has
-        a larger covariance.
+        If no hypothesis explains the misfit, the estimate uses all wheels and has a larger
+        covariance.
         """
         yaw_rate, turning = states.yaw_rate, []
         if commanded is not None:
