@@ -519,8 +519,11 @@ class TwistEstimator:
             covered = wheel_mixture.covering(fit, [1.0, 1.0, 0.25], fits_of_all)
             failed = [k for k, d in enumerate(tests) if d > self.gates[k]]
             return self._result(covered, tests, rank, (), failed)
-        mean, left_out, suspects, sliding = wheel_mixture.mixture(hypotheses)
-        tests = chi_squares(hypotheses[0].fit)
+        mean, left_out, suspects, sliding = wheel_mixture.mixture(
+            hypotheses, as_measured=not disagree
+        )
+        if not hypotheses[0].sliding:
+            tests = chi_squares(hypotheses[0].fit)
         return self._result(mean, tests, rank, left_out, suspects, sliding)
 
     def _result(

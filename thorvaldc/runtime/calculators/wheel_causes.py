@@ -2,14 +2,14 @@
 
 A wheel that disagrees with the other wheels or with its command has one of these causes:
 
-================  =========================================  =====================================
+================  =========================================  =======================================
 cause             examples                                   rolling speed of the contact
-================  =========================================  =====================================
+================  =========================================  =======================================
 healthy           rolls, lags, is pushed, stalls             reading z
 wrong encoder     dead, reversed, stuck, wrong scale         command c
-sliding           ice, mud, held by a wall, pulled           anything about a share of the commands
+sliding           ice, mud, held by a wall, pulled           anything up to the speed of the wheels
 wrong wheel       wrong steering angle, slips alone          what agrees with the other wheels
-================  =========================================  =====================================
+================  =========================================  =======================================
 
 A hypothesis gives each wheel a cause, and has its own fit of the twist.  Up to a constant, its cost
 is -2 log of its likelihood:
@@ -23,13 +23,14 @@ N are the wheels that contradict their commands: |z - c| exceeds the error e(c) 
 2.  One or two wheels are wrong wheels, whichever fit best.  Price k q for the k-th of them, where
     ``q`` is the chi-square that a healthy wheel exceeds with the permitted rate of false alarms.
 3.  The encoders of N are wrong, the robot moves as the other wheels say, and N follow their
-    commands.  Price ``_ONE_ENCODER`` for one wheel, and ``_ENCODERS`` for more, which then share a
-    cause, such as a cable.  Encoders that read different shares of their commands share no cause:
-    ``_OTHER_CAUSE`` for each further share.  If the other wheels disagree, one more is wrong.
+    commands.  Price ``_ONE_ENCODER`` for one wheel, if no load explains its deviation, and
+    ``_ENCODERS`` for more, which then share a cause, such as a cable.  Encoders that read different
+    shares of their commands share no cause: ``_OTHER_CAUSE`` for each further share.  If the other
+    wheels disagree, one more is wrong.
 4.  The readings are right, and the wheels slide: the robot is held or pulled.  Price ``_SLIDING``.
-    Its twist is the commanded one, multiplied by the share z / c of the wheel that deviates most.
-    The standard deviation is half of that deviation, so that both a held robot and one that moves
-    as commanded lie within two standard deviations.
+    Its twist is the fit of all wheels with the standard deviation |1 - z / c| v / 2 of the wheel
+    that deviates most, where v is the speed of the fastest wheel.  A held robot and one that moves
+    as commanded then lie within two standard deviations.
 
 A motor that turns as commanded says nothing about the ground.  If three wheels of four turn as
 commanded and one stands, its encoder is dead (3), or the robot stands and three wheels spin (4).
@@ -109,7 +110,7 @@ _HELD_YAW_RATE: Final = 0.02
 """Standard deviation (rad/s) of the yaw rate of a robot that is held."""
 
 _ONE_ENCODER: Final = 5.0
-_ENCODERS: Final = 9.0
+_ENCODERS: Final = 10.0
 _OTHER_CAUSE: Final = 5.0
 _SLIDING: Final = 9.0
 _AGAINST_MOTOR: Final = 5.0
@@ -309,12 +310,10 @@ class CauseSearch:
         healthy = self._wrong_wheels((), measurements, fit)
         encoders_wrong = self._wrong_encoders(measurements)
         hypotheses = [healthy, *encoders_wrong]
-        if self._against.wheels or self._gyro_slip(measurements):
-            hypotheses.append(self.sliding(measurements, fit))
+        may_slide = self._against.wheels or self._gyro_slip(measurements)
         if not disagree:
-            return (
-                hypotheses  # the agreement of wheels that contradict their commands proves nothing
-            )
+            # The agreement of wheels that contradict their commands proves nothing.
+            return [*hypotheses, self.sliding(measurements, fit)] if may_slide else hypotheses
         known = [{*h.wrong} for h in encoders_wrong]
         singles = self._one_more_wrong(healthy, known)
         singles.sort(key=_cost)
@@ -324,6 +323,8 @@ class CauseSearch:
                 # The list already contains all pairs of wheels with a more likely wrong wheel.
                 visited = [s.wrong[0] for s in singles[:rank]]
                 hypotheses += self._one_more_wrong(single, known, visited)
+        if may_slide:
+            hypotheses.append(self.sliding(measurements, fit))
         hypotheses.sort(key=_cost)
         best = hypotheses[0]
         if best.worst_ratio > 2.0:  # twice the gate has about the square of the gate's probability
@@ -344,7 +345,8 @@ class CauseSearch:
         others = [k for k in encoders(measurements) if k not in wheels]
         if not wheels or not (others or self._against.commands):
             return []
-        price = _ONE_ENCODER if len(wheels) == 1 else _ENCODERS
+        alone = len(wheels) == 1 and self._against.doubtful
+        price = _ONE_ENCODER if alone else _ENCODERS
         price += _OTHER_CAUSE * (self._against.causes - 1)
         hypotheses = [self._encoders_wrong(wheels, measurements, price)]
         if hypotheses[0].worst_ratio > 1.0:
@@ -374,33 +376,29 @@ class CauseSearch:
         """
         every, wheels = encoders(measurements), self._against.wheels
         commands = self._against.commands
-        mean = self.all_encoders_wrong(measurements)
-        fastest = max([abs(measurements[k][5]) for k in every], default=0.0)
-        share, sigma, dragged = 1.0, 0.0, False
+        fastest = max([*(abs(measurements[k][5]) for k in every), *map(abs, commands)], default=0.0)
+        sigma, against_motor = 0.0, False
         for k in wheels:
             measured = measurements[k][5]
             command = commands[k] if commands else fastest
-            moving = abs(command) > _COMMANDED_SPEED
-            slip = abs(measured - command) / 2.0
-            if not moving:
-                slip += _DRAGGED
+            if abs(command) <= _COMMANDED_SPEED:
+                sigma = max(sigma, abs(measured - command) / 2.0 + _DRAGGED)
+                continue
+            share = measured / command
+            slip = min(abs(1.0 - share), 2.0) * fastest / 2.0
             if slip > sigma:
-                sigma, dragged = slip, not moving
-                share = measured / command if moving else 1.0
+                sigma = slip
+                against_motor = not -_EQUAL_SHARES < share < 1.0 + _EQUAL_SHARES
         turning = self._gyro_slip(measurements)
+        share = 1.0
         if certain or turning:
-            fastest = max([fastest, *map(abs, commands)])
             sigma = max(sigma, _SLIDING_SHARE * fastest, 2.0 * turning)
-            share = min(share, 0.5)
-        if dragged:
-            mean = fit
+            share = 0.5
         cost = _SLIDING + _OTHER_CAUSE * max(self._against.pushed - 1, 0)
-        if not -_EQUAL_SHARES < share < 1.0 + _EQUAL_SHARES:
-            cost += _AGAINST_MOTOR
-        share = min(max(share, -1.0), 2.0)
+        cost += _AGAINST_MOTOR * against_motor
         variance = sigma * sigma
-        wz, angular, gyro_misfit = self._with_gyro(share * mean.wz, variance / self._length2)
-        vx, vy, rest = share * mean.vx, share * mean.vy, mean.measurements
+        wz, angular, gyro_misfit = self._with_gyro(share * fit.wz, variance / self._length2)
+        vx, vy, rest = share * fit.vx, share * fit.vy, fit.measurements
         slid = Fit(vx, vy, wz, variance, 0.0, 0.0, variance, 0.0, angular, rest)
         others = tuple(k for k in every if k not in wheels)
         return Hypothesis((), others or every, slid, cost + gyro_misfit, 0.0, slid, measurements)

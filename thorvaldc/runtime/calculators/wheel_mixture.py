@@ -59,8 +59,10 @@ class Mixture(NamedTuple):
     sliding: tuple[int, ...]
 
 
-def mixture(hypotheses: Sequence[Hypothesis]) -> Mixture:
+def mixture(hypotheses: Sequence[Hypothesis], *, as_measured: bool) -> Mixture:
     """Returns the mixture of the hypotheses, of which the first is the most likely.
+
+    ``as_measured``: ``True`` if the wheels agree, so that the mean is the first fit.
 
     With the probabilities p_i, means xi_i and covariances P_i of the hypotheses, the mixture has
     the mean xi = sum p_i xi_i and the covariance of ``covering``.
@@ -73,7 +75,7 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> Mixture:
     vx = float_sum(p * f.vx for p, f in zip(probabilities, fits, strict=True))
     vy = float_sum(p * f.vy for p, f in zip(probabilities, fits, strict=True))
     wz = float_sum(p * f.wz for p, f in zip(probabilities, fits, strict=True))
-    mean = best.fit._replace(vx=vx, vy=vy, wz=wz)
+    mean = best.fit if as_measured else best.fit._replace(vx=vx, vy=vy, wz=wz)
     weights = [_LEAST_WEIGHT if h.fit is h.others else _LEAST_WRONG for h in hypotheses]
     mean = covering(mean, list(map(max, probabilities, weights)), fits)
     sliding = {k for h in hypotheses for k in h.sliding}
