@@ -167,7 +167,7 @@ fuzz: $(READY)
 
 mutants: $(READY)
 	$(BIN)/python workshop/mutants.py --number $(or $(NUMBER),10) --seed $(or $(SEED),1) \
-	  --jobs $(JOBS:auto=1) $(addprefix --layer ,$(LAYER))
+	  --jobs $(JOBS:auto=1) $(addprefix --layer ,$(LAYER)) $(if $(ROBOTS),--last 'all robots')
 
 # The library to compare with comes into the environment of the first bench, not of every test.
 bench: $(READY)

@@ -111,7 +111,7 @@ def study(robot: str, kind: str, settings: list[Noise], seconds: float) -> list[
                 odometry.update(joint_states, k * dt)
     results = []
     for noise, group in zip(settings, odometries, strict=True):
-        errors = [_logarithm(end.relative_to(o.pose)) for end, o in zip(ends, group, strict=True)]
+        errors = [logarithm(end.relative_to(o.pose)) for end, o in zip(ends, group, strict=True)]
         poses = np.array([_nees(e, o.covariance) for e, o in zip(errors, group, strict=True)])
         squares = [e[0] ** 2 + e[1] ** 2 for e in errors]
         variances = [o.covariance[0][0] + o.covariance[1][1] for o in group]
@@ -136,11 +136,13 @@ def noisy_runs(
     dt: float,
     runs: int,
     rng: np.random.Generator,
+    noise: Noise = NOISE,
 ) -> tuple[Array, Array, Array]:
     """Returns true twists (n, 3, runs), and wheel speeds and steering angles (n, wheels, runs).
 
     - ``shares``: shares of the errors, as in ``SHARES``.
     - ``nominal``: commanded twists (n, 3), one every ``dt`` s.
+    - ``noise``: standard deviations of all errors.
     """
     wheels, n = geometry.wheels, len(nominal)
     fixed = FixedWheels(wheels)
@@ -152,8 +154,8 @@ def noisy_runs(
         for i, w in enumerate(wheels):
             if w.fixed:
                 roll = _rolling(w, twists)
-                weight = 1.0 / ((NOISE.angle * roll) ** 2 + NOISE.slip_floor**2)
-                slip += weight * direction.of(i, NOISE.angle * roll, NOISE.slip_floor)
+                weight = 1.0 / ((noise.angle * roll) ** 2 + noise.slip_floor**2)
+                slip += weight * direction.of(i, noise.angle * roll, noise.slip_floor)
                 information += weight
         twists[:, :2] += np.multiply.outer(fixed.rows[0][:2], slip / information).swapaxes(0, 1)
     speeds, angles = np.zeros((2, n, len(wheels), runs))
@@ -165,10 +167,10 @@ def noisy_runs(
             ux, uy = velocity(w.x, w.y, twists.swapaxes(0, 1))
             roll = np.hypot(ux, uy)
             angles[:, i] = w.sign * (np.unwrap(np.arctan2(uy, ux), axis=0) - w.heading)
-            slip = direction.of(i, NOISE.angle * roll, NOISE.slip_floor)
+            slip = direction.of(i, noise.angle * roll, noise.slip_floor)
             angles[:, i] += slip / np.maximum(roll, 0.05)
         if w.encoder:
-            error = rolling.of(i, NOISE.speed_ratio * roll, NOISE.speed_floor)
+            error = rolling.of(i, noise.speed_ratio * roll, noise.speed_floor)
             speeds[:, i] = (roll + error) / w.radius
     return twists, speeds, angles
 
@@ -238,7 +240,7 @@ def _nees(error: Array, covariance: se2.Cov3) -> float:
     return float(error @ np.linalg.solve(np.array(covariance), error)) / 3.0
 
 
-def _logarithm(pose: Pose2) -> Array:
+def logarithm(pose: Pose2) -> Array:
     """Returns the twist that moves a robot from the origin to ``pose`` in 1 s."""
     half = pose.yaw / 2.0
     k = half / math.tan(half) if half else 1.0

@@ -88,8 +88,11 @@ def events_of(robot: Robot, files: Mapping[str, bytes], seed: int) -> list[Event
 
     def ticked(loop: ControlLoop) -> None:
         sample, state = loop.sample(), loop.driver.state
-        estimator, period = loop.driver.calculator.estimator, 1.0 / robot.driver.rate
-        covariance = filter_covariance(estimator, state.joints, state.odometry, period)
+        driver, period = loop.driver, 1.0 / robot.driver.rate
+        covariance = filter_covariance(
+            *(driver.calculator.estimator, state.joints, state.odometry, period),
+            driver.odometry.motion_time,
+        )
         events.append(("odometry", sample.time, [*sample.estimated], np.array(covariance)))
         events.append(("truth", sample.time, [*sample.pose_true], np.zeros(0)))
 

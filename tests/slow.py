@@ -18,6 +18,19 @@ def mostly_slow(values: Iterable[Any], quick: int = 1, slow: int | None = None) 
     return [pytest.param(value, marks=mark) for value, mark in zip(parameters, marks, strict=False)]
 
 
+def one_quick_of(step: int, values: Iterable[Any]) -> list[Any]:
+    """Returns parameters in their order: the first of each ``step`` has no marker, the others have
+    the marker `slow`.  Thus both groups have rows of all parts of a long table.
+
+    A value that is a tuple has the values of several names.
+    """
+    rows = [value if type(value) is tuple else (value,) for value in values]
+    return [
+        pytest.param(*row, marks=[pytest.mark.slow] * (index % step > 0))
+        for index, row in enumerate(rows)
+    ]
+
+
 def mostly_exhaustive(values: Iterable[Any], quick: int = 1) -> list[Any]:
     """Returns parameters of which all but the first ``quick`` have the marker `exhaustive`."""
     return mostly_slow(values, quick, slow=0)

@@ -17,14 +17,14 @@ import importlib
 import json
 import os
 import re
+import resource
 import shutil
 import signal
 import sys
 import tempfile
 import time
 import traceback
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -53,6 +53,8 @@ TEST_LIMIT = 120
 """s for one test while the lines are recorded."""
 FILE_LIMIT = 300.0
 """s for all tests of a file while the lines are recorded; later tests are left out."""
+BUSY = 20.0
+"""All times are processor times; a process on a busy computer may need so much more real time."""
 SETTINGS = """[run]
 data_file = {folder}/lines
 parallel = true
@@ -63,11 +65,9 @@ disable_warnings = no-data-collected,module-not-imported,module-not-measured,cou
 """
 
 
-OPTIONS = (
-    *("-n0", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"),
-    *("-m", "not exhaustive"),
-)
-"""The tests are those of CI."""
+OPTIONS = ("-n0", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
+OF_CI = "not exhaustive"
+"""The marker expression of the tests of CI."""
 
 
 class Outcome(NamedTuple):
@@ -81,15 +81,33 @@ class Outcome(NamedTuple):
 class _Recorder:
     """A plugin of pytest: the durations of tests, the first failure, the context of coverage."""
 
-    def __init__(self, measurement: coverage.Coverage | None) -> None:
+    def __init__(
+        self, measurement: coverage.Coverage | None, left_out: Collection[str] = ()
+    ) -> None:
         self.measurement = measurement
-        self.end = time.monotonic() + FILE_LIMIT
-        self.seconds: dict[str, float] = defaultdict(float)
+        self.left_out = left_out
+        self.end = cpu_seconds() + FILE_LIMIT
+        self.collected = 0
+        self.seconds: dict[str, float] = {}
         self.failed: list[str] = []
 
     def _switch(self, context: str) -> None:
         if self.measurement is not None:
             self.measurement.switch_context(context)
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        if self.left_out:
+            items[:] = [item for item in items if item.nodeid not in self.left_out]
+
+    def pytest_collection_finish(self, session: pytest.Session) -> None:
+        self.collected = len(session.items)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        before = cpu_seconds()
+        result = yield
+        self.seconds[item.nodeid] = cpu_seconds() - before
+        return result
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
@@ -102,17 +120,22 @@ class _Recorder:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_teardown(self, item: pytest.Item) -> None:
         self._switch(item.nodeid.partition("::")[0])
-        if self.measurement is not None and time.monotonic() > self.end:
+        if self.measurement is not None and cpu_seconds() > self.end:
             item.session.shouldstop = "the time limit of the file"
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        self.seconds[report.nodeid] += report.duration
         if report.failed:
             self.failed.append(report.nodeid)
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         if report.failed:
             self.failed.append(report.nodeid)
+
+
+def cpu_seconds() -> float:
+    """Returns the processor time of this process and of its children that have ended."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
 
 
 def import_dependencies() -> None:
@@ -134,20 +157,35 @@ def copy_of_the_tree(folder: Path) -> Path:
 
 
 def run_tests(
-    tree: Path, tests: Iterable[str], limit_s: float, test_limit_s: float = TEST_LIMIT
+    tree: Path,
+    tests: Iterable[str],
+    limit_s: float,
+    test_limit_s: float = TEST_LIMIT,
+    left_out: Collection[str] = (),
+    all_robots: bool = False,
 ) -> Outcome:
-    """Runs tests in a forked process up to the first failure, with the package of ``tree``."""
+    """Runs tests in a forked process up to the first failure, with the package of ``tree``.
+
+    - ``left_out``: names of tests that do not run;
+    - ``all_robots``: runs not only the tests of CI, and for all robots.
+    """
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder, "result")
 
         def child() -> None:
-            recorder = _Recorder(None)
-            options = [*OPTIONS, "-x", f"--timeout={test_limit_s:.0f}"]
+            recorder = _Recorder(None, left_out)
+            options = [*OPTIONS, "-x", f"--timeout={BUSY * test_limit_s:.0f}"]
+            seconds = round(limit_s)  # of processor time, as in an endless loop
+            resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 10))
+            if all_robots:
+                os.environ["ROBOTS"] = "all"
+            else:
+                options += ["-m", OF_CI]
             status = pytest.main([*options, *arguments_of(tests)], plugins=[recorder])
             failure = recorder.failed[0] if recorder.failed else ""
             result.write_text(json.dumps([failure, int(status)]))
 
-        if not _fork(tree, child, limit_s, Path(folder, "log")):
+        if not _fork(tree, child, BUSY * limit_s, Path(folder, "log")):
             return Outcome("the time limit", -1)
         if not result.exists():
             return Outcome("an end of the test process", -1)
@@ -209,7 +247,7 @@ def test_files() -> list[str]:
     return [name for name in names if not name.startswith(LEFT_OUT)]
 
 
-def _digest(name: str, tree: Path = ROOT) -> str:
+def digest_of(name: str, tree: Path = ROOT) -> str:
     return hashlib.sha256((tree / name).read_bytes()).hexdigest()
 
 
@@ -217,22 +255,25 @@ def _package(tree: Path) -> dict[str, str]:
     """Returns the digest of each file of the package."""
     files = sorted((tree / "thorvaldc").rglob("*.py"))
     names = [str(path.relative_to(tree)) for path in files]
-    return {name: _digest(name, tree) for name in names}
+    return {name: digest_of(name, tree) for name in names}
 
 
 def is_recorded(name: str) -> bool:
     file = CACHE / name / "tests.json"
-    return file.exists() and json.loads(file.read_text())["sha256"] == _digest(name)
+    return file.exists() and json.loads(file.read_text())["sha256"] == digest_of(name)
 
 
-def record(name: str, tree: Path) -> None:
-    """Runs a test file in the copy ``tree`` and stores which test executes which line."""
+def record(name: str, tree: Path) -> int:
+    """Runs a test file in the copy ``tree`` and stores which test executes which line.
+
+    Returns the number of tests that the limits left out, or -1 if they ended the process.
+    """
     folder = CACHE / name
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     settings = folder / "coveragerc"
     settings.write_text(SETTINGS.format(folder=folder, tree=tree))
-    stored: dict[str, Any] = {"sha256": _digest(name, tree), "tree": str(tree), "tests": {}}
+    stored: dict[str, Any] = {"sha256": digest_of(name, tree), "tree": str(tree), "tests": {}}
     stored["package"] = _package(tree)
     (folder / "tests.json").write_text(json.dumps(stored))  # if the time limit ends the tests
 
@@ -242,7 +283,8 @@ def record(name: str, tree: Path) -> None:
         os.environ["COVERAGE_PROCESS_START"] = str(settings)  # for child processes
         recorder = _Recorder(measurement)
         measurement.start()
-        options = [*OPTIONS, f"--timeout={TEST_LIMIT}", "-rN", "--tb=line"]
+        timeout = f"--timeout={BUSY * TEST_LIMIT:.0f}"
+        options = [*OPTIONS, "-m", OF_CI, timeout, "-rN", "--tb=line"]
         pytest.main([*options, name], plugins=[recorder])
         measurement.stop()
         measurement.save()
@@ -250,9 +292,10 @@ def record(name: str, tree: Path) -> None:
             test: [round(seconds, 3), test not in recorder.failed]
             for test, seconds in recorder.seconds.items()
         }
+        stored["left_out"] = recorder.collected - len(recorder.seconds)
         (folder / "tests.json").write_text(json.dumps(stored))
 
-    _fork(tree, child, FILE_LIMIT + 2.0 * TEST_LIMIT, folder / "log")
+    _fork(tree, child, BUSY * (FILE_LIMIT + 2.0 * TEST_LIMIT), folder / "log")
     parts = coverage.CoverageData(basename=str(folder / "all"))
     for part in sorted(folder.glob("lines.*")):
         data = coverage.CoverageData(basename=str(part))
@@ -261,6 +304,8 @@ def record(name: str, tree: Path) -> None:
             parts.update(data)
         part.unlink()
     parts.write()
+    left_out: int = json.loads((folder / "tests.json").read_text()).get("left_out", -1)
+    return left_out
 
 
 class _Recording(NamedTuple):
@@ -277,13 +322,14 @@ class ExecutedLines:
     To be used in the process that creates it: ``coverage`` erases its file after a fork.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, files: Iterable[str]) -> None:
+        """``files``: the test files whose recordings are used."""
         self.seconds: dict[str, float] = {}
         self.fails: set[str] = set()
         """Tests that failed without a mutant."""
         self._recordings: dict[str, _Recording] = {}
         self._package = _package(ROOT)
-        for name in test_files():
+        for name in files:
             if is_recorded(name):
                 stored = json.loads((CACHE / name / "tests.json").read_text())
                 data = coverage.CoverageData(basename=str(CACHE / name / "all"))

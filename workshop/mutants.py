@@ -1,6 +1,8 @@
 """Changes the package in small ways and checks that a test fails.
 
     make mutants LAYER=runtime NUMBER=20 SEED=1    a sample of one layer
+    make mutants LAYER=runtime ROBOTS=all             its survivors, with every test and robot too
+    workshop/mutants.py --layer can --last near       only the first of the stages
     workshop/mutants.py --layer can --list            show the sample, run nothing
 
 A mutant is the package with one change: another comparison, a sign, a number, a deleted statement,
@@ -8,33 +10,46 @@ two swapped arguments.  A mutant that no test notices is a hole in the tests, or
 difference (an equivalent mutant); a person judges.  The same seed gives the same mutants as long as
 the layer does not change.
 
-A mutant runs the tests that execute its line, quick and near ones first, then the other tests of
-their files (which may share what a fixture computed), up to a limit.  The first failure ends them.
-Which tests execute a line is recorded in ``.mutants/`` by the first run (``executed_lines.py``).
+A mutant is judged in stages, and the first test that fails ends them:
+
+    near         the tests of CI in the mirrored folder: those that execute the changed line, quick
+                 ones first, then the others of their files, which may share what a fixture computed
+    far          the same tests of all other folders, up to a limit; what is not run is counted
+    all robots   if asked: all other tests, also the exhaustive ones, of the files that
+                 execute the changed file
+
+What the last stage notices is what the choice of robots and groups loses.  The results are kept in
+``build/mutants.jsonl``: a run that ended early goes on, and the share is exact.  A noticed mutant
+is judged again when its file changes, a survivor also when a test file of the stage does.  Which
+tests execute a line is recorded in ``.mutants/`` by the first run (``executed_lines.py``).
 """
 
 from __future__ import annotations
 
 import argparse
-import ast
-import copy
+import functools
+import hashlib
 import itertools
+import json
 import multiprocessing
 import os
-import random
 import resource
 import signal
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
+from code_changes import Mutant, sample
 from executed_lines import (
+    LEFT_OUT,
     ROOT,
     ExecutedLines,
     copy_of_the_tree,
+    digest_of,
     import_dependencies,
     is_recorded,
     record,
@@ -42,196 +57,28 @@ from executed_lines import (
     test_files,
 )
 
+RESULTS = ROOT / "build" / "mutants.jsonl"
+STAGES = NEAR, FAR, ALL_ROBOTS = "near", "far", "all robots"
 TESTS_LIMIT = 120.0
-"""s for all tests of one mutant, by the durations of the recording."""
+"""s for all tests of one mutant in a stage, by the durations of the recording."""
 BATCHES = (1.5, 20.0, TESTS_LIMIT)
 """s of tests in each process of a mutant: most mutants are noticed by the first tests."""
 COLLECTION = 0.2
 """s to collect a test file."""
 SLOW = 1.5
 """s; a slower test may fail by the load of the machine, and is repeated without the mutant."""
-COMPARISONS: dict[type[ast.cmpop], type[ast.cmpop]] = {
-    ast.Lt: ast.LtE,
-    ast.LtE: ast.Lt,
-    ast.Gt: ast.GtE,
-    ast.GtE: ast.Gt,
-    ast.Eq: ast.NotEq,
-    ast.NotEq: ast.Eq,
-    ast.Is: ast.IsNot,
-    ast.IsNot: ast.Is,
-    ast.In: ast.NotIn,
-    ast.NotIn: ast.In,
-}
-OPERATORS: dict[type[ast.operator], type[ast.operator]] = {
-    ast.Add: ast.Sub,
-    ast.Sub: ast.Add,
-    ast.Mult: ast.Div,
-    ast.Div: ast.Mult,
-    ast.FloorDiv: ast.Mult,
-    ast.BitAnd: ast.BitOr,
-    ast.BitOr: ast.BitAnd,
-    ast.LShift: ast.RShift,
-    ast.RShift: ast.LShift,
-}
-SYMMETRIC = ("allclose", "gcd", "hypot", "isclose", "max", "min")
-"""Functions whose result does not depend on the order of their arguments."""
 
 
-class Mutant(NamedTuple):
-    """One change: characters ``start`` to ``end`` of a file become ``text``."""
-
-    path: Path
-    line: int
-    executed: range
-    """The lines of its statement, without an inner block; empty outside of functions."""
-    start: int
-    end: int
-    text: str
-
-    def apply(self, source: str) -> str:
-        return source[: self.start] + self.text + source[self.end :]
-
-    def describe(self) -> str:
-        before = (ROOT / self.path).read_text()[self.start : self.end]
-        old, new = (" ".join(text.split()) for text in (before, self.text))
-        return f"{self.path}:{self.line}: {old}  ->  {new}"
-
-
-def changed_nodes(node: ast.AST) -> Iterator[ast.AST]:
-    """Returns the nodes by which ``node`` can be replaced."""
-    match node:
-        case ast.Compare(ops=[operator]) if type(operator) in COMPARISONS:
-            new = copy.deepcopy(node)
-            new.ops = [COMPARISONS[type(operator)]()]
-            yield new
-        case ast.BinOp(op=operator) if type(operator) in OPERATORS:
-            if not isinstance(node.left, ast.Constant | ast.JoinedStr) or _is_number(node.left):
-                new_operation = copy.deepcopy(node)
-                new_operation.op = OPERATORS[type(operator)]()
-                yield new_operation
-        case ast.BoolOp():
-            new_choice = copy.deepcopy(node)
-            new_choice.op = ast.Or() if isinstance(node.op, ast.And) else ast.And()
-            yield new_choice
-        case ast.UnaryOp(op=ast.Not() | ast.USub()):
-            yield node.operand
-        case ast.Constant(value=bool()):
-            yield ast.Constant(not node.value)
-        case ast.Constant(value=int()):
-            yield ast.Constant(node.value + 1)
-        case ast.Constant(value=float()):
-            yield ast.Constant(1.0 if node.value == 0.0 else node.value * 1.5)
-        case ast.Call(args=[first, second, *rest]) if _order_matters(node):
-            swapped = copy.deepcopy(node)
-            swapped.args = [second, first, *rest]
-            yield swapped
-        case ast.Expr(value=ast.Call()) | ast.AugAssign():
-            yield ast.Pass()
-        case ast.Break():
-            yield ast.Continue()
-        case ast.Continue():
-            yield ast.Break()
-
-
-def _order_matters(call: ast.Call) -> bool:
-    """Checks whether a call with its first two arguments swapped is another call."""
-    name = ast.unparse(call.func).rpartition(".")[2]
-    first, second = call.args[:2]
-    return name not in SYMMETRIC and ast.dump(first) != ast.dump(second)
-
-
-def _is_number(node: ast.AST) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, int | float)
-
-
-def mutants_of(path: Path) -> list[Mutant]:
-    """Returns all mutants of a file below the root of the repository."""
-    source = (ROOT / path).read_text()
-    starts = [0]
-    for line in source.splitlines(keepends=True):
-        starts.append(starts[-1] + len(line))
-    mutants: list[Mutant] = []
-    _collect(ast.parse(source), _Place(path, source, starts, mutants), range(0), False)
-    return mutants
-
-
-class _Place(NamedTuple):
-    """A file, the index of the first character of each line, and its mutants so far."""
-
-    path: Path
-    source: str
-    starts: list[int]
-    mutants: list[Mutant]
-
-
-def _collect(node: ast.AST, place: _Place, executed: range, is_function: bool) -> None:
-    for field, value in ast.iter_fields(node):
-        if field in ("annotation", "returns", "decorator_list", "type_params"):
-            continue
-        in_function = is_function or (
-            field == "body" and isinstance(node, ast.FunctionDef | ast.Lambda)
-        )
-        for child in value if isinstance(value, list) else [value]:
-            if not isinstance(child, ast.AST) or _is_untested(child):
-                continue
-            inner = executed
-            if isinstance(child, ast.stmt | ast.excepthandler | ast.match_case):
-                inner = _header(child) if in_function else range(0)
-            for new in changed_nodes(child):
-                start = _offset(place, child.lineno, child.col_offset)
-                end = _offset(place, child.end_lineno, child.end_col_offset)
-                text = ast.unparse(new)
-                if isinstance(child, ast.expr):
-                    text = f"({text})"
-                place.mutants.append(Mutant(place.path, child.lineno, inner, start, end, text))
-            _collect(child, place, inner, in_function)
-
-
-def _header(node: ast.stmt | ast.excepthandler | ast.match_case) -> range:
-    """Returns the lines of a statement up to its first inner statement."""
-    first = node.pattern.lineno if isinstance(node, ast.match_case) else node.lineno
-    body = getattr(node, "body", None) or getattr(node, "cases", None)
-    if not body:
-        return range(first, node.end_lineno + 1)
-    inner = body[0].pattern.lineno if isinstance(body[0], ast.match_case) else body[0].lineno
-    return range(first, max(inner, first + 1))
-
-
-def _is_untested(node: ast.AST) -> bool:
-    """Checks whether a node is a text for people, or an import for types."""
-    match node:
-        case ast.Raise() | ast.Assert() | ast.JoinedStr():
-            return True
-        case ast.If(test=ast.Name(id="TYPE_CHECKING")):
-            return True
-    return False
-
-
-def _offset(place: _Place, line: int, column: int) -> int:
-    """Returns the index of a character; ``column`` counts bytes of UTF-8, as ``ast`` does."""
-    text = place.source[place.starts[line - 1] : place.starts[line]]
-    return place.starts[line - 1] + len(text.encode()[:column].decode())
-
-
-def sample(layer: str, number: int, seed: int) -> list[Mutant]:
-    """Returns ``number`` mutants of a layer, each as likely as any other."""
-    folder = ROOT / "thorvaldc" / layer
-    files = sorted(path.relative_to(ROOT) for path in folder.rglob("*.py"))
-    mutants = [mutant for path in files for mutant in mutants_of(path)]
-    return random.Random(f"{layer}:{seed}").sample(mutants, min(number, len(mutants)))
-
-
-def tests_of(mutant: Mutant, executed: ExecutedLines) -> Iterator[list[str]]:
-    """Returns the tests of a mutant in the order in which they run, those of each process."""
+def tests_of(mutant: Mutant, executed: ExecutedLines) -> tuple[list[list[str]], int]:
+    """Returns the tests of a mutant in the order in which they run, those of each process, and the
+    number of those that the limit of time leaves out."""
     inner = mutant.path.relative_to("thorvaldc")
     executing: list[tuple[float, str]] = []
     beside: list[tuple[float, str]] = []
     for name, tests in executed.tests_of(mutant.path, mutant.executed):
         file = Path(name)
-        if inner.stem.strip("_") in file.stem:
-            far = 1.0
-        else:
-            far = 3.0 if file.is_relative_to("tests" / inner.parent) else 6.0
+        is_mirrored = file.is_relative_to("tests" / inner.parent)
+        far = 1.0 if inner.stem.strip("_") in file.stem else 3.0 if is_mirrored else 6.0
         # Each file has a share of the time: tests of one file notice similar mutants.
         time = {True: 0.0, False: 0.0}
         for test in sorted(executed.tests_in(name), key=executed.seconds.__getitem__):
@@ -241,53 +88,95 @@ def tests_of(mutant: Mutant, executed: ExecutedLines) -> Iterator[list[str]]:
     batches: list[list[str]] = [[] for _ in BATCHES]
     used = [0.0 for _ in BATCHES]
     files: set[tuple[int, str]] = set()
-    number = 0
+    number = left_out = 0
     for _, test in [*sorted(executing), *sorted(beside)]:
-        if test in executed.fails:
+        if test in executed.fails:  # without a mutant, too
+            left_out += 1
             continue
-        if used[number] > BATCHES[number]:
+        if number < len(BATCHES) and used[number] > BATCHES[number]:
             number += 1
-            if number == len(BATCHES):
-                break
-        file = test.partition("::")[0]
-        used[number] += executed.seconds[test] + COLLECTION * ((number, file) not in files)
-        files.add((number, file))
+        if number == len(BATCHES):
+            left_out += 1
+            continue
+        name = test.partition("::")[0]
+        used[number] += executed.seconds[test] + COLLECTION * ((number, name) not in files)
+        files.add((number, name))
         batches[number].append(test)
-    if not any(batches):
-        folder = ROOT / "tests" / inner.parent
-        while not folder.exists():
-            folder = folder.parent
-        batches[0].append(str(folder.relative_to(ROOT)))
-    return filter(None, batches)
+    return list(filter(None, batches)), left_out
 
 
-def is_noticed(mutant: Mutant, tree: Path, executed: ExecutedLines) -> str:
-    """Runs the tests of a mutant in the copy ``tree``; returns the test that failed, or ''."""
+class UndecidedError(RuntimeError):
+    """The tests of a mutant cannot run, with and without it."""
+
+
+class Verdict(NamedTuple):
+    """What the tests of a stage say about a mutant."""
+
+    failure: str
+    """The test that failed, or ''."""
+    tests: int
+    """Number of tests of the stage, without those left out."""
+    left_out: int
+
+
+def judge(mutant: Mutant, tree: Path, executed: ExecutedLines) -> Verdict:
+    """Runs the tests of CI of a mutant in the copy ``tree``."""
+    batches, left_out = tests_of(mutant, executed)
+    failure = ""
+    for batch in batches:
+        failure = failure or _failure(mutant, tree, batch, executed.seconds)
+    return Verdict(failure, sum(map(len, batches)), left_out)
+
+
+def judge_with_all_robots(mutant: Mutant, tree: Path, executed: ExecutedLines) -> Verdict:
+    """Runs the tests that CI leaves out, of the files that execute the file of a mutant."""
+    files = [name for name, _ in executed.tests_of(mutant.path, range(0))]
+    failure = ""
+    for name in files:
+        failure = failure or _failure(mutant, tree, [name], {}, executed.seconds)
+    return Verdict(failure, len(files), 0)
+
+
+def _failure(
+    mutant: Mutant,
+    tree: Path,
+    tests: list[str],
+    durations: Mapping[str, float],
+    known: Collection[str] = (),
+) -> str:
+    """Returns the first of ``tests`` that fails with the mutant and passes without it, or ''.
+
+    ``known``: the tests of CI, if those that it leaves out are to run.
+    """
     original = (tree / mutant.path).read_text()
+    seconds = [durations.get(test, TESTS_LIMIT) for test in tests]
+    left_out = set(known)
+    run = functools.partial(run_tests, tree, all_robots=bool(known), left_out=left_out)
+    factor = 50.0 if known else 5.0
+    limit, test_limit = 60.0 + factor * sum(seconds), 20.0 + factor * max(seconds)
     try:
-        for batch in tests_of(mutant, executed):
-            tests = batch
-            while tests:
-                _write(tree / mutant.path, mutant.apply(original))
-                seconds = [executed.seconds.get(test, TESTS_LIMIT) for test in tests]
-                outcome = run_tests(
-                    tree, tests, 60.0 + 5.0 * sum(seconds), 20.0 + 5.0 * max(seconds)
+        while True:
+            _write(tree / mutant.path, mutant.apply(original))
+            outcome = run(tests, limit, test_limit)
+            if outcome.status in (0, pytest.ExitCode.NO_TESTS_COLLECTED):
+                return ""
+            failed = outcome.failure or f"exit status {outcome.status}"
+            is_test = "::" in failed  # and no file that cannot be imported
+            if durations.get(failed, SLOW) < SLOW and outcome.status == 1 and is_test:
+                return failed
+            again = [failed] if is_test else tests
+            _write(tree / mutant.path, original)
+            without_mutant = run(again, limit)
+            if without_mutant.status == 0:
+                return failed
+            if without_mutant.status == pytest.ExitCode.USAGE_ERROR:
+                raise RuntimeError(f"pytest does not find all of {', '.join(again)}")
+            if not is_test:
+                raise UndecidedError(
+                    f"{failed} without the mutant, too, of {', '.join(tests)[:500]}"
                 )
-                if outcome.status == 0:
-                    break
-                failed = outcome.failure or f"exit status {outcome.status}"
-                is_test = "::" in failed  # and no file that cannot be imported
-                if executed.seconds.get(failed, 0.0) < SLOW and outcome.status == 1 and is_test:
-                    return failed
-                again = [failed] if failed in tests else tests
-                _write(tree / mutant.path, original)
-                without_mutant = run_tests(tree, again, 60.0 + 5.0 * sum(seconds))
-                if without_mutant.status == 0:
-                    return failed
-                if without_mutant.status == pytest.ExitCode.USAGE_ERROR:
-                    raise RuntimeError(f"pytest does not find all of {', '.join(again)}")
-                tests = [test for test in tests if test not in again]
-        return ""
+            print(f"left out, fails without a mutant: {failed}", flush=True)
+            left_out.add(failed)
     finally:
         _write(tree / mutant.path, original)
 
@@ -301,59 +190,148 @@ def _write(file: Path, text: str) -> None:
     os.utime(file, (next(_moments), next(_moments)))
 
 
+# -- results ---------------------------------------------------------------------------------------
+
+
+class Results:
+    """The verdicts so far, in the file ``RESULTS``."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[str, str], dict[str, Any]] = {}
+        if RESULTS.exists():
+            for line in RESULTS.read_text(encoding="utf-8").splitlines():
+                entry = json.loads(line)
+                self._known[entry["mutant"], entry["stage"]] = entry
+
+    def find(self, mutant: Mutant, stage: str, tests: str) -> dict[str, Any] | None:
+        """Returns the verdict that still counts: ``tests`` are the digest of the test files."""
+        entry = self._known.get((_key(mutant), stage))
+        return entry if entry and (entry["failure"] or entry["files"] == tests) else None
+
+    def add(self, mutant: Mutant, stage: str, tests: str, verdict: Verdict, cpu: float) -> None:
+        entry = {"mutant": _key(mutant), "stage": stage, "files": tests, "cpu": round(cpu, 1)}
+        entry |= verdict._asdict()
+        self._known[entry["mutant"], stage] = entry
+        RESULTS.parent.mkdir(exist_ok=True)
+        with RESULTS.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(entry) + "\n")
+
+
+def _key(mutant: Mutant) -> str:
+    digest = hashlib.sha256((ROOT / mutant.path).read_bytes()).hexdigest()
+    return f"{mutant.path} {digest[:16]} {mutant.start}-{mutant.end} {mutant.text}"
+
+
+# -- processes -------------------------------------------------------------------------------------
+
 _tree: Path
 _executed: ExecutedLines
 
 
-def _start_work(trees: multiprocessing.SimpleQueue[str]) -> None:
-    global _tree, _executed
+def _start_recording(trees: multiprocessing.SimpleQueue[str]) -> None:
+    global _tree
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # ends the forked process too
     _tree = copy_of_the_tree(Path(trees.get()))
-    _executed = ExecutedLines()
 
 
-def _record(name: str) -> str:
-    record(name, _tree)
-    return name
+def _start_work(trees: multiprocessing.SimpleQueue[str], files: list[str]) -> None:
+    global _executed
+    _start_recording(trees)
+    _executed = ExecutedLines(files)
 
 
-def _work(mutant: Mutant) -> tuple[Mutant, str, float]:
-    """Returns a mutant, what noticed it, and the seconds of CPU."""
+def _record(name: str) -> tuple[str, int]:
+    return name, record(name, _tree)
+
+
+def _work(task: tuple[Mutant, str]) -> tuple[Mutant, Verdict | str, float]:
+    """Returns a mutant, the verdict or why there is none, and the seconds of CPU."""
+    mutant, stage = task
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    failure = is_noticed(mutant, _tree, _executed)
+    judge_it = judge_with_all_robots if stage == ALL_ROBOTS else judge
+    judged: Verdict | str
+    try:
+        judged = judge_it(mutant, _tree, _executed)
+    except UndecidedError as error:
+        judged = str(error)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return mutant, failure, cpu
+    return mutant, judged, cpu
 
 
-def run(layer: str, mutants: list[Mutant], jobs: int) -> bool:
-    """Runs the mutants and prints each result; returns whether a test noticed each of them."""
+def record_missing(files: list[str], jobs: int) -> None:
+    missing = [name for name in files if not is_recorded(name)]
+    if not missing:
+        return
+    print(f"recording which lines {len(missing)} test files execute", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         context = multiprocessing.get_context("fork")
         trees = context.SimpleQueue()
-        for number in range(2 * jobs):
+        for number in range(jobs):
             trees.put(f"{folder}/{number}")
-        missing = [name for name in test_files() if not is_recorded(name)]
-        if missing:
-            print(f"recording which lines {len(missing)} test files execute", flush=True)
-            with context.Pool(jobs, _start_work, (trees,)) as pool:
-                for number, name in enumerate(pool.imap_unordered(_record, missing), 1):
-                    print(f"{number}/{len(missing)} {name}", flush=True)
-        survivors = 0
-        total = 0.0
-        with context.Pool(jobs, _start_work, (trees,)) as pool:
-            for mutant, failure, cpu in pool.imap_unordered(_work, mutants):
-                survivors += not failure
-                total += cpu
-                word = "noticed " if failure else "SURVIVED"
-                print(f"{word} {cpu:5.1f} s {mutant.describe()}", flush=True)
-                if failure:
-                    print(f"                 by {failure}", flush=True)
-    number = max(len(mutants), 1)
-    print(f"{layer}: {1.0 - survivors / number:.0%} of {len(mutants)} mutants noticed, ", end="")
-    noticed = max(len(mutants) - survivors, 1)
-    print(f"{total / noticed:.1f} s of CPU for each of them", flush=True)
-    return not survivors
+        with context.Pool(jobs, _start_recording, (trees,)) as pool:
+            recorded = pool.imap_unordered(_record, missing)
+            for number, (name, left_out) in enumerate(recorded, 1):
+                words = f", {left_out} tests LEFT OUT by the limits of time" if left_out else ""
+                print(f"{number}/{len(missing)} {name}{words}", flush=True)
+
+
+def run_stage(
+    stage: str, mutants: list[Mutant], files: list[str], jobs: int, results: Results
+) -> list[dict[str, Any] | None]:
+    """Judges the mutants that have no verdict yet; returns the verdict of each, or ``None``."""
+    digest = hashlib.sha256("".join(f"{f} {digest_of(f)}\n" for f in files).encode()).hexdigest()
+    open_mutants = [m for m in mutants if results.find(m, stage, digest) is None]
+    if open_mutants:
+        record_missing(files, jobs)
+        _judge_all(stage, open_mutants, files, digest, jobs, results)
+    return [results.find(mutant, stage, digest) for mutant in mutants]
+
+
+def _judge_all(
+    stage: str, mutants: list[Mutant], files: list[str], digest: str, jobs: int, results: Results
+) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        context = multiprocessing.get_context("fork")
+        trees = context.SimpleQueue()
+        for number in range(jobs):
+            trees.put(f"{folder}/{number}")
+        tasks = [(mutant, stage) for mutant in mutants]
+        with context.Pool(jobs, _start_work, (trees, files)) as pool:
+            for mutant, verdict, cpu in pool.imap_unordered(_work, tasks):
+                if isinstance(verdict, str):
+                    print(f"NOT JUDGED {mutant.describe()}  {verdict}", flush=True)
+                    continue
+                results.add(mutant, stage, digest, verdict, cpu)
+                word = f"noticed by {verdict.failure}" if verdict.failure else "open"
+                print(f"{stage} {cpu:6.1f} s {mutant.describe()}  {word}", flush=True)
+
+
+def run(layer: str, mutants: list[Mutant], jobs: int, last: str) -> bool:
+    """Judges the mutants of a layer up to the stage ``last``; returns whether a test noticed each
+    of them."""
+    results = Results()
+    near = [name for name in test_files() if name.startswith(f"tests/{layer}/")]
+    far = [name for name in test_files() if name not in near]
+    stages = {NEAR: near, FAR: far, ALL_ROBOTS: test_files()}
+    left, cpu, judged = mutants, 0.0, len(mutants)
+    shares = []
+    left_out: Counter[Mutant] = Counter()
+    for stage in STAGES[: STAGES.index(last) + 1]:
+        verdicts = zip(left, run_stage(stage, left, stages[stage], jobs, results), strict=True)
+        known = [(mutant, verdict) for mutant, verdict in verdicts if verdict is not None]
+        cpu += sum(verdict["cpu"] for _, verdict in known)
+        left_out.update({mutant: verdict["left_out"] for mutant, verdict in known})
+        judged -= len(left) - len(known)
+        left = [mutant for mutant, verdict in known if not verdict["failure"]]
+        shares.append(f"{stage}: {len(known) - len(left)} of {len(known)}")
+    for mutant in left:
+        print(f"SURVIVED {mutant.describe()} ({left_out[mutant]} tests of CI not run)")
+    noticed = judged - len(left)
+    print(f"{layer}: {noticed / max(judged, 1):.0%} of {judged} mutants noticed ", end="")
+    print(f"({'; '.join(shares)}), {cpu / max(noticed, 1):.1f} s of CPU for each of them", end="")
+    print(f", {len(mutants) - judged} not judged" * (judged < len(mutants)), flush=True)
+    return noticed == len(mutants)
 
 
 def main() -> int:
@@ -363,16 +341,19 @@ def main() -> int:
     parser.add_argument("--number", type=int, default=10, help="mutants of each layer")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--last", choices=STAGES, default=FAR, help="the last stage")
     parser.add_argument("--list", action="store_true", help="show the mutants; run no test")
     options = parser.parse_args()
     import_dependencies()
+    if not options.list:
+        print(f"not among the tests: {', '.join(LEFT_OUT)}", flush=True)
     status = 0
     for layer in options.layer or layers:
         mutants = sample(layer, options.number, options.seed)
         if options.list:
             print(*(mutant.describe() for mutant in mutants), sep="\n")
             continue
-        status |= not run(layer, mutants, options.jobs)
+        status |= not run(layer, mutants, options.jobs, options.last)
     return status
 
 

@@ -15,6 +15,7 @@ from tests.examples import SAMPLED_ROBOTS, example_robot
 from tests.outside_tools import path_of_dcfgen
 from tests.simulation.bus.master import Master
 from tests.simulation.bus.robots import cia402_robot, uneven_robot
+from tests.slow import mostly_slow
 from thorvaldc.backends.can import Can
 from thorvaldc.model import Node, Robot
 from thorvaldc.model.bus import OBJECT_TYPES
@@ -63,7 +64,7 @@ def concise_dcf(data: bytes) -> dict[tuple[int, int], bytes]:
     return values
 
 
-@pytest.mark.parametrize("name", ["cia402", *SAMPLED_ROBOTS])
+@pytest.mark.parametrize("name", mostly_slow(["cia402", *SAMPLED_ROBOTS], 2))
 def test_dcfgen_writes_all_values(name: str, tmp_path: Path) -> None:
     """With the rearranged file that the tool `cogen` of ros2_canopen passes to `dcfgen`."""
     dcfgen = path_of_dcfgen()

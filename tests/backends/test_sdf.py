@@ -16,6 +16,7 @@ from tests.backends.drake_jobs import read_by_drake
 from tests.backends.plans import ROBOTS as PLANS
 from tests.backends.plans import SAMPLED_PLANS, Plan, build
 from tests.examples import FLEETS, FOLDER, SAMPLED_ROBOTS, example_fleet, example_robot
+from tests.slow import mostly_slow
 from thorvaldc.backends.ros2_parts import bridged_topics
 from thorvaldc.backends.sdf import Sdf, world_files
 from thorvaldc.backends.sdf_robot import CAMERA
@@ -51,7 +52,9 @@ def test_drake_reads_the_robot_of_the_urdf(tmp_path: Path) -> None:
     assert {n: d for n, d in zip(robots(), results, strict=True) if d} == {}
 
 
-@pytest.mark.parametrize("change", ["<mass>", "<ixx>", "<upper>", "<xyz>", "<pose relative_to"])
+@pytest.mark.parametrize(
+    "change", mostly_slow(["<mass>", "<ixx>", "<upper>", "<xyz>", "<pose relative_to"])
+)
 def test_drake_notices_changes(change: str, tmp_path: Path) -> None:
     robot = example_robot("4wd4ws_wide")
     folder = write({**files_of(Urdf, robot), **files_of(Sdf, robot)}, tmp_path)

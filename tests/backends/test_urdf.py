@@ -11,6 +11,7 @@ import pytest
 from tests.backend_files import files_of
 from tests.backends.plans import ROBOTS, grafted
 from tests.examples import SAMPLED_ROBOTS, example_robot
+from tests.slow import one_quick_of
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.model import Robot
 
@@ -34,7 +35,7 @@ def test_check_urdf_accepts(name: str, written: Written, check_urdf: str) -> Non
     assert "error" not in process.stderr.lower(), process.stderr
 
 
-@pytest.mark.parametrize("name", SAMPLE)
+@pytest.mark.parametrize("name", one_quick_of(4, SAMPLE))
 def test_sdformat_accepts(name: str, written: Written, ign: str) -> None:
     path = written(robot_of(name)) / "urdf" / "robot.urdf"
     process = subprocess.run([ign, "sdf", "-k", str(path)], capture_output=True, text=True)

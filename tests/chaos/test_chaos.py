@@ -12,7 +12,7 @@ from tests.chaos.schedule import READY, ChaosEvent, Schedule
 from tests.chaos.seed_runner import Outcome, in_copy, prepared_world, run_here, run_schedule
 from tests.chaos.shrinker import Shrinker
 from tests.chaos.taken_out import TAKEN_OUT
-from tests.slow import mostly_slow
+from tests.slow import mostly_slow, one_quick_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "chaos.md"
 FOLDER = Path(__file__).parent / "scripts"
@@ -21,13 +21,13 @@ GROUPS, SEEDS = 5, 8
 """The sample has ``SEEDS`` missions in each group, one robot per group."""
 
 
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("script", one_quick_of(5, SCRIPTS), ids=lambda path: path.stem)
 def test_no_script_violates_an_invariant(script: Path) -> None:
     outcome = run_schedule(Schedule.from_json(script.read_text(encoding="utf-8")))
     assert outcome.holds, f"{outcome.invariant} at {outcome.time:.2f} s: {outcome.text}"
 
 
-@pytest.mark.parametrize("fix", TAKEN_OUT)
+@pytest.mark.parametrize("fix", one_quick_of(5, TAKEN_OUT))
 def test_the_script_of_each_fix_violates_an_invariant_without_it(fix: str) -> None:
     script = Schedule.from_json((FOLDER / f"{fix}.json").read_text(encoding="utf-8"))
 

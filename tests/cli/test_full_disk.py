@@ -9,6 +9,7 @@ import pytest
 from tests.cli.conftest import GOOD, Command
 from tests.full_disk import full_disk
 from tests.outside_tools import require
+from tests.slow import one_quick_of
 
 OLD = "of an earlier command"
 DRIVE = ("sim", "good.yaml", "--twist", "0.3,0,0", "--duration", "0.5")
@@ -16,16 +17,19 @@ DRIVE = ("sim", "good.yaml", "--twist", "0.3,0,0", "--duration", "0.5")
 
 @pytest.mark.parametrize(
     ("arguments", "file"),
-    [
-        (("view", "good.yaml", "-o"), "page.html"),
-        (("render", "good.yaml", "-o"), "picture.png"),
-        (("diff", "good.yaml", "other.yaml", "--html"), "page.html"),
-        ((*DRIVE, "--plot"), "plot.png"),
-        ((*DRIVE, "--plot"), "plot.svg"),
-        ((*DRIVE, "--video"), "video.gif"),
-        ((*DRIVE, "--record"), "record.csv"),
-        ((*DRIVE, "--log"), "log.csv"),
-    ],
+    one_quick_of(
+        3,
+        [
+            (("view", "good.yaml", "-o"), "page.html"),
+            (("render", "good.yaml", "-o"), "picture.png"),
+            (("diff", "good.yaml", "other.yaml", "--html"), "page.html"),
+            ((*DRIVE, "--plot"), "plot.png"),
+            ((*DRIVE, "--plot"), "plot.svg"),
+            ((*DRIVE, "--video"), "video.gif"),
+            ((*DRIVE, "--record"), "record.csv"),
+            ((*DRIVE, "--log"), "log.csv"),
+        ],
+    ),
 )
 def test_a_full_disk_leaves_the_old_file_and_is_reported_with_its_name(
     thorvaldc: Command, arguments: tuple[str, ...], file: str

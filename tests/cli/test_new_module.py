@@ -11,6 +11,7 @@ import trimesh
 import yaml
 
 from tests.cli.conftest import Command
+from tests.slow import mostly_slow
 
 
 def _robot_with(type: str) -> None:
@@ -47,7 +48,7 @@ def test_a_new_module_passes_and_mounts(robot: Command) -> None:
 
 
 @pytest.mark.parametrize("factor", [1.0, 1000.0])
-@pytest.mark.parametrize("suffix", ["stl", "obj", "glb"])
+@pytest.mark.parametrize("suffix", mostly_slow(["stl", "obj", "glb"]))
 def test_the_box_contains_a_mesh_in_metres_and_in_millimetres(
     robot: Command, suffix: str, factor: float
 ) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import struct
 
 import pytest
 
 from tests.commissioning.bench import four_drives
-from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame import CanFrame, to_ns
 from thorvaldc.can.lss import Identity
 from thorvaldc.commissioning.bus_master import BusMaster, Timing
 from thorvaldc.commissioning.lss_master import MAXIMUM_SLAVES, LssError, LssMaster
@@ -18,6 +19,9 @@ from thorvaldc.simulation.bus.wire import Wire
 
 class Slaves:
     """Devices without node id, which respond to fastscan requests (CiA 305) as one sender."""
+
+    interface: type[VirtualTimeInterface] = VirtualTimeInterface
+    """Interface of the master."""
 
     def __init__(self, identities: list[Identity]) -> None:
         self.wire = Wire(Timeline())
@@ -46,10 +50,24 @@ class Slaves:
             self.sender.send(CanFrame(0x7E4, b"\x4f" + bytes(7)))
 
     def search(self, known: tuple[Identity, ...] = ()) -> list[Identity]:
-        interface = VirtualTimeInterface(self.wire, "master")
+        interface = self.interface(self.wire, "master")
         interface.sleep(0.001)
         master = BusMaster(interface, four_drives().buses[0], Timing(fastscan=0.001))
         return LssMaster(master).find_without_id(known)
+
+
+class LateBus(VirtualTimeInterface):
+    """A bus whose process runs late: each frame arrives after the time-out of its request."""
+
+    delay = 0.05
+
+    @property
+    def received_until(self) -> float:
+        return self.now - self.delay
+
+    def _queue_received(self, frame: CanFrame, own: bool = False) -> None:
+        arrive = functools.partial(super()._queue_received, frame, own)
+        self.timeline.after(to_ns(self.delay), arrive)
 
 
 SLAVES = [
@@ -62,6 +80,21 @@ SLAVES = [
 
 def test_slaves_that_differ_in_each_part() -> None:
     assert sorted(Slaves(SLAVES).search()) == sorted(SLAVES)
+
+
+def test_slaves_on_a_bus_whose_process_runs_late() -> None:
+    slaves = Slaves(SLAVES)
+    slaves.interface = LateBus
+    assert sorted(slaves.search()) == sorted(SLAVES)
+
+
+def test_no_slaves_on_a_bus_whose_process_has_stopped() -> None:
+    class StoppedBus(LateBus):
+        delay = 1e6
+
+    slaves = Slaves(SLAVES)
+    slaves.interface = StoppedBus
+    assert slaves.search() == []
 
 
 def test_known_slaves_are_not_searched_for() -> None:

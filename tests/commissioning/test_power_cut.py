@@ -109,7 +109,7 @@ def test_power_cut_at_every_frame(chunk: int) -> None:
         check(bench, number)
 
 
-@pytest.mark.parametrize("torn", [False, True], ids=["whole", "torn"])
+@pytest.mark.parametrize("torn", mostly_slow([False, True]), ids=["whole", "torn"])
 def test_power_cut_in_the_middle_of_every_write(torn: bool) -> None:
     """The bus is idle during a write to memory; a torn write destroys the old value."""
     hash_, *_ = undisturbed()

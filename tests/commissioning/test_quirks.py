@@ -8,7 +8,7 @@ from tests.commissioning.bench import NODES, QUICK, SWAPPED, Bench, four_drives
 from tests.commissioning.robots import without_serials
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
 from tests.simulation.bus.robots import cia402_robot
-from tests.slow import mostly_exhaustive
+from tests.slow import mostly_exhaustive, mostly_slow
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.verify import verify
 from thorvaldc.diagnostics import DiagnosticError
@@ -65,7 +65,7 @@ def test_scan_finds_every_device_without_id(quirks: tuple[Quirk, ...], unknown: 
 
 
 @each_quirk
-@pytest.mark.parametrize("unknown", [(), ("rr_controller",)])
+@pytest.mark.parametrize("unknown", mostly_slow([(), ("rr_controller",)]))
 def test_flash_verify_and_rollback(quirks: tuple[Quirk, ...], unknown: tuple[str, ...]) -> None:
     robot = without_serials(four_drives(), unknown)
     bench = Bench(robot, SWAPPED, timing=QUICK, quirks=quirks)

@@ -27,6 +27,7 @@ from tests.backends.plans import grafted
 from tests.buses import robot_with_bus
 from tests.examples import FLEETS, example_fleet, example_robot, sampled
 from tests.robots import FOUR_STEERED, make_robot
+from tests.slow import mostly_slow
 from thorvaldc import backends
 from thorvaldc.backends import Backend
 from thorvaldc.diagnostics import CODES
@@ -189,7 +190,7 @@ def test_fleet(backend: type[Backend]) -> None:
     check_fleet(backend, Fleet("two", "", tuple(placements)))
 
 
-@pytest.mark.parametrize("name", FLEETS)
+@pytest.mark.parametrize("name", mostly_slow(FLEETS))
 def test_example_fleet(name: str, backend: type[Backend]) -> None:
     check_fleet(backend, example_fleet(name))
 

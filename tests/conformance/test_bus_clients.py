@@ -15,6 +15,7 @@ from tests.backend_files import dbc_of, files_of
 from tests.examples import SAMPLED_ROBOTS, example_robot
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import cia402_robot, uneven_robot
+from tests.slow import mostly_slow
 from thorvaldc.backends.can import Can
 from thorvaldc.model import Node, Robot
 from thorvaldc.model.bus import OBJECT_TYPES
@@ -128,7 +129,7 @@ def test_our_codec_and_cantools_agree(robot: Robot, files: dict[str, bytes]) -> 
                     assert codec.encode_named(kept) == message.encode(kept, strict=False)
 
 
-@pytest.mark.parametrize("name", ["4wd4ws_wide", "cia402", "uneven"])
+@pytest.mark.parametrize("name", mostly_slow(["4wd4ws_wide", "cia402", "uneven"]))
 def test_cantools_decodes_the_commands_of_the_driver(name: str) -> None:
     """Decoded with our DBC, commands equal the targets, and reports equal the motor states."""
     made = {"cia402": cia402_robot, "uneven": uneven_robot}

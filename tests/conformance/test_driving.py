@@ -14,6 +14,7 @@ from tests.backends.plans import ROBOTS as PLANNED
 from tests.backends.plans import SAMPLED_PLANS
 from tests.conformance.driving import can_steer, can_turn, drive
 from tests.examples import FLEETS, SAMPLED_ROBOTS, example_fleet, example_robot
+from tests.slow import mostly_slow
 from tests.workshop import Workshop
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.model import Robot
@@ -47,7 +48,7 @@ def test_straight_distance_agrees_with_the_wheels(name: str, tmp_path: Path) -> 
     assert run.highest_jump < 1e-3
 
 
-@pytest.mark.parametrize("radius", [0.5, 3.0])
+@pytest.mark.parametrize("radius", mostly_slow([0.5, 3.0]))
 @pytest.mark.parametrize("name", SAMPLE)
 def test_turning_agrees_with_the_wheels(name: str, radius: float, tmp_path: Path) -> None:
     robot = robot_of(name)

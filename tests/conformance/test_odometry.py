@@ -100,7 +100,7 @@ def test_whatever_joints_and_commands_say_the_estimate_is_sound(
     commanded = data.draw(st.lists(st.sampled_from([-5.0, 0.0, 0.3, 5.0]), min_size=n, max_size=n))
     estimate = estimator.estimate(states, commanded)
     sound(estimate)
-    assert not set(estimate.dropped) & set(estimate.suspects)
+    assert not set(estimate.dropped) & {*estimate.suspects, *estimate.sliding}
     for errors in estimator.lasting_errors(states, estimate, estimate.twist):
         assert all(math.isfinite(v) for v in errors)
 
@@ -196,7 +196,7 @@ def test_one_wheel_that_is_plainly_wrong_is_named_and_does_no_harm(
     assert estimate.dropped == (i,)
     for j in range(3):
         sigma = math.sqrt(estimate.covariance[j][j])
-        assert abs(estimate.twist[j] - target[j]) <= 0.5 * sigma
+        assert abs(estimate.twist[j] - target[j]) <= 0.5 * sigma + 1e-9
         assert sigma >= 0.99 * math.sqrt(healthy.covariance[j][j])
 
 

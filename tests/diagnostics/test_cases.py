@@ -83,20 +83,22 @@ def can_run(case: dict[str, Any]) -> bool:
     return bool(TOOL_COMMANDS) or not of_a_tool
 
 
-def cases(left_out: Collection[str] = ()) -> Any:
+def cases(left_out: Collection[str] = (), step: int = 1) -> Any:
     """Runs a test with each case whose command is none of ``left_out``.
 
-    The cases of one file run in one process, see ``diagnostics_of``.
+    The first case of each ``step``-th file is quick.  The cases of one file run in one process, see
+    ``diagnostics_of``.
     """
-    return pytest.mark.parametrize(
-        "case",
-        [
-            pytest.param(case, id=f"{path.stem}[{number}]", marks=xdist_group(path.stem))
-            for path in case_files()
-            for number, case in enumerate(read_cases(path))
-            if case.get("run", "compile") not in left_out and can_run(case)
-        ],
-    )
+    parameters = []
+    for index, path in enumerate(case_files()):
+        for number, case in enumerate(read_cases(path)):
+            if case.get("run", "compile") in left_out or not can_run(case):
+                continue
+            marks = [xdist_group(path.stem)]
+            if number > 0 or index % step > 0:
+                marks.append(pytest.mark.slow)
+            parameters.append(pytest.param(case, id=f"{path.stem}[{number}]", marks=marks))
+    return pytest.mark.parametrize("case", parameters)
 
 
 def bytes_of(content: Any) -> bytes:
@@ -301,7 +303,7 @@ def test_case(case: dict[str, Any]) -> None:
     assert (case.get("file", ""), case["line"]) in lines, f"raised at another line: {shown}"
 
 
-@cases()
+@cases(step=8)
 def test_neighbour(case: dict[str, Any]) -> None:
     case = {
         **case,

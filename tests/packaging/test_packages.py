@@ -55,6 +55,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return sdist, wheel
 
 
+@pytest.mark.slow
 @needs_tools
 def test_indexes_accept_the_packages(packages: tuple[Path, Path]) -> None:
     """Also that of the runtime, as `make dist` and the release workflow build them."""

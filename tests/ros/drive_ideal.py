@@ -48,7 +48,7 @@ def messages(client: Client) -> None:
     odometry, joints = client.last["base_raw"], client.last["joint_states"]
     assert odometry.header.frame_id == "odom"
     assert odometry.child_frame_id == "base_link"
-    # Two wheels that are 1 % off; a node with `for_filters` says ten times as much.
+    # Two wheels that are 1 % off; a node with `for_filters` says ten times as much later.
     speed = odometry.twist.twist.linear.x
     assert 0.0 < math.sqrt(odometry.twist.covariance[0]) < 0.03 * speed
     assert odometry.twist.covariance[35] > 0.0

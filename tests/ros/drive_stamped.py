@@ -18,9 +18,12 @@ def main() -> None:
 
 
 def covariance_for_filters(client: Client) -> None:
+    def counts_lasting_errors() -> bool:
+        twist = client.last["base_raw"].twist
+        return math.sqrt(twist.covariance[0]) > 0.1 * twist.twist.linear.x > 0.01
+
     client.drive(0.3)
-    twist = client.last["base_raw"].twist
-    assert math.sqrt(twist.covariance[0]) > 0.1 * twist.twist.linear.x > 0.01
+    client.wait("covariance", counts_lasting_errors, lambda: client.send(0.3))
 
 
 def clock_ahead(client: Client) -> None:

@@ -33,6 +33,7 @@ def each_dialect() -> pytest.MarkDecorator:
     return pytest.mark.parametrize("dialect", [first, *marked])
 
 
+@pytest.mark.slow
 @each_dialect()
 def test_wrong_joint_states_are_faults_with_their_reasons(
     distro: str, dialect: str, tmp_path: Path

@@ -26,6 +26,7 @@ from tests.runtime.exploration import (
     script,
     small_classes,
 )
+from tests.slow import mostly_slow, one_quick_of
 from thorvaldc.runtime.permission import DONE, SERVICE_STOP, Answer, Base, Permission, Rules, Step
 from thorvaldc.runtime.se2 import ZERO_TWIST
 
@@ -187,7 +188,7 @@ NEEDED = {
 """What the rule concerns, where one source and one program are not enough."""
 
 
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("rule", one_quick_of(4, RULES))
 def test_each_rule_taken_out_is_found(rule: str, monkeypatch: pytest.MonkeyPatch) -> None:
     violation = found(rule, monkeypatch)
     assert 1 <= len(violation.path) <= 9
@@ -204,7 +205,7 @@ def found(rule: str, monkeypatch: pytest.MonkeyPatch) -> Violation:
 REPLAYED = ["a new source commands zero", "an ineffective source commands zero"]
 
 
-@pytest.mark.parametrize("rule", REPLAYED)
+@pytest.mark.parametrize("rule", mostly_slow(REPLAYED))
 def test_a_counterexample_is_a_mission_of_chaos(rule: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The mission moves the robot unasked without the rule, and does not with it."""
     with monkeypatch.context() as patch:

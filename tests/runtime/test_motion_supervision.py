@@ -19,7 +19,8 @@ from thorvaldc.runtime.motion_supervision import (
     obedience,
 )
 
-PERIOD = 1 / 64  # s; sums of it are exact
+PER_SECOND = 64
+PERIOD = 1 / PER_SECOND  # s; sums of it are exact
 
 
 def make_axis(role: str) -> Axis:
@@ -322,3 +323,45 @@ def test_a_restart_loses_the_reference_of_steering_only() -> None:
         axis.homed, axis.target = True, 1.5
         axis.lose_reference()
         assert (axis.homed, axis.target) == (homed, 0.0)
+
+
+# -- reports that no motion explains -------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("wrong", "share", "jumps"),
+    [(5.0, 0.3, True), (1.5, 0.3, True), (0.3, 0.3, False), (5.0, 1 / PER_SECOND, False)],
+)
+@pytest.mark.parametrize("target", [0.0, 4.0])
+def test_wrong_speeds_in_some_reports(
+    wrong: float, share: float, jumps: bool, target: float
+) -> None:
+    """One wrong report a second is none of these."""
+    cycles, number = Cycles(make_axis("propulsion")), 0.0
+    cycles.run(1.0, target, target)
+    while cycles.now < 20.0 and not cycles.problem:
+        number += share
+        is_wrong = number >= 1.0
+        number -= is_wrong
+        cycles.run(PERIOD, target + wrong * is_wrong, target)
+    assert ("jumps, as no wheel can" in cycles.problem) is jumps
+    if jumps:
+        assert cycles.now < 1.6
+
+
+def test_jumps_are_forgotten_after_a_few_seconds() -> None:
+    axis = make_axis("propulsion")
+    cycles = Cycles(axis)
+    for k in range(1000):
+        cycles.run(PERIOD, 5.0 * (k % 2), 0.0)
+    assert cycles.problem
+    cycles.run(5.0, 0.0, 0.0)
+    assert cycles.problem == ""
+
+
+def test_a_wheel_that_is_blocked_does_not_jump() -> None:
+    cycles = Cycles(make_axis("propulsion"))
+    for _ in range(10):
+        cycles.run(0.5, 4.0, 4.0)
+        cycles.run(0.5, 0.0, 4.0)
+        assert "jumps" not in cycles.problem

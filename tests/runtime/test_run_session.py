@@ -10,6 +10,7 @@ import pytest
 
 from tests.runtime.can_base.test_late_processes import LateBus
 from tests.simulation.bus.robots import CIA402, compiled
+from tests.slow import mostly_slow
 from thorvaldc.can.frame import CanInterface
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import RequestRefused
@@ -144,7 +145,7 @@ def rearm(runner: DrivenRobot) -> None:
         (rearm, "`run` was not heard before"),
     ],
 )
-@pytest.mark.parametrize("channel", [False, True])
+@pytest.mark.parametrize("channel", mostly_slow([False, True]))
 def test_the_twist_of_a_session_ends_as_soon_as_it_was_ineffective(
     happens: Callable[[DrivenRobot], None],
     reason: str,

@@ -102,6 +102,17 @@ def test_the_gate_agrees_with_jsonschema(kind: Kind) -> None:
     assert 100 < invalid < 300
 
 
+def test_a_module_in_a_parameter_of_a_module_in_a_parameter_is_checked() -> None:
+    """A definition that contains itself is repeated to its second level, and ends there."""
+    robot = plain(ROOT / "examples/4wd4ws_wide/robot.yaml")
+    wheel: dict[str, Any] = {"type": "wheel/agri_200"}
+    drive = {"type": "drive/standard", "params": {"wheel": wheel}}
+    robot["modules"]["fl"] |= {"params": {"drive": drive}}
+    assert passes(inlined("robot"), robot)
+    wheel["colour"] = 1
+    assert not passes(inlined("robot"), robot)
+
+
 def test_a_schema_with_an_unsupported_keyword_is_rejected() -> None:
     assert passes({"type": "object"}, {})
     assert not passes({"type": "object", "unevaluatedProperties": False}, {})

@@ -17,7 +17,6 @@ from tests.examples import FOLDER, robot_with_meshes
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = (
-    FOLDER / "4wd4ws_wide/robot.yaml",
     FOLDER / "4wd2ws_tall/robot.yaml",  # with a xacro file
     FOLDER / "scenarios/field_edge.yaml",  # with a world
 )

@@ -133,9 +133,10 @@ def _parameter_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, bytes]:
                 )
             }
     space = ros2_parts.node_space(robot)
+    comments = {"base_driver": ros2_parameters.FILTER_NOISE} if parts.localization else {}
     return {
         f"config/{file}.yaml": parameter_file(
-            {space + node: values for node, values in nodes.items()}
+            {space + node: values for node, values in nodes.items()}, comments.get(file, "")
         ).encode()
         for file, nodes in files.items()
     }

@@ -498,8 +498,11 @@ class BaseDriverNode(GuardedLifecycleNode):
         frames = values["odom_frame_id"], values["base_frame_id"]
         covariance = state.odometry.covariance
         if values["twist_covariance"] == FOR_FILTERS:
-            estimator, period = robot.driver.calculator.estimator, 1.0 / values["rate"]
-            covariance = filter_covariance(estimator, state.joints, state.odometry, period)
+            driver, period = robot.driver, 1.0 / values["rate"]
+            covariance = filter_covariance(
+                *(driver.calculator.estimator, state.joints, state.odometry, period),
+                driver.odometry.motion_time,
+            )
         self._odometry.publish(messages.odometry_message(state, covariance, stamp, *frames))
         if self._tf is not None and values["enable_odom_tf"]:
             transform = messages.transform_message(state, stamp, *frames)

@@ -9,7 +9,7 @@ What is compared depends on what the motors are commanded to:
                    a steering joint is at its target angle or turns towards it, and does not
                    swing about another angle;
                    a wheel that is commanded to stand does not travel;
-                   its reports change when its target does
+                   its reports change when its target does, and no faster than a wheel can
     HOME           the wheels stand as above; steering joints search their home positions
     QUICK_STOP     it slows down at least as fast as this line, and then stands:
 
@@ -44,6 +44,12 @@ JUMP_SPEED: Final = 1.5
 """Largest speed of a steering joint, as a multiple of the top speed of its motor."""
 JUMP_TIME: Final = 0.04
 """Shortest time (s) of motion between two reports, because adapters delay single frames."""
+LEAP: Final = 3.0
+"""Largest change of a reported wheel speed that a motion explains, beyond ``FollowLimits.speed``:
+multiple of the change by the acceleration of the motor.  Kerbs and rough ground stay below 1."""
+LEAPS: Final = 5.0
+"""Number of larger changes, less LEAP_DECAY for each second, that single wrong reports explain."""
+LEAP_DECAY: Final = 2.0
 REST_TRAVEL: Final = 0.5
 """Longest travel (rad) of a wheel that is commanded to stand."""
 GRACE: Final = 0.15
@@ -110,6 +116,7 @@ class Axis:
     - ``homed``: ``True`` if the zero position of the joint is known;
     - ``jump``: angle (rad) by which the position of a homed steering joint has jumped, faster than
       the motor can turn; 0 if the position has not jumped;
+    - ``leaps``: number of the latest reported wheel speeds that no motion explains, see ``LEAPS``;
     - ``powered``: ``False`` if the motor gets no torque, whatever the base does; see
       ``CanBase.power_only``;
     - ``follows``: ``True`` while the motor has torque and is commanded to follow its target: the
@@ -129,6 +136,7 @@ class Axis:
         self.target = 0.0
         self.homed = not self.steering
         self.jump = 0.0
+        self.leaps = 0.0
         self.powered = True
         self.follows = False
         self.limits = FollowLimits()
@@ -147,6 +155,13 @@ class Axis:
         if velocity is None:
             dt = time - self.time
             velocity = (position - self.position) / dt if 0.0 < dt < 1.0 else 0.0
+        elif not self.steering:
+            elapsed = time - self.time
+            largest = LEAP * self.actuator.max_acceleration * max(elapsed, JUMP_TIME)
+            largest += self.limits.speed
+            leaps = self.leaps + 1.0 if abs(velocity - self.velocity) > largest else self.leaps
+            if leaps:
+                self.leaps = min(max(leaps - LEAP_DECAY * elapsed, 0.0), 2.0 * LEAPS)
         self.time, self.position, self.velocity = time, position, velocity
 
     def hold(self) -> None:
@@ -243,6 +258,8 @@ class Follower:
             self.deviating_since = math.inf
         elif time < self.deviating_since:
             self.deviating_since = time
+        if axis.leaps > LEAPS:
+            return f"the reported speed of the {axis.channel} jumps, as no wheel can"
         lasts = time - self.deviating_since
         if (
             lasts > longest

@@ -17,6 +17,11 @@ LONGEST_INTERVAL: Final = 0.5
 """Longest interval (s) between two joint states over which the odometry integrates the motion."""
 LOW_RANK_CORRELATION: Final = 10.0
 """Correlation time (s) of the velocity errors in directions that no wheel measures."""
+UNDECIDED_CORRELATION: Final = 1000.0
+"""Correlation time (s) of the errors while the wheels do not tell which of them are wrong.
+
+The same hypothesis is right for as long as the cause lasts.
+"""
 _TIME_CONSTANT: Final = 2.0
 """Time constant (s) of the share of time in which a wheel is left out or doubted."""
 _WARNED_SHARE: Final = 0.5
@@ -35,6 +40,7 @@ class Odometry:
     - ``covariance``: covariance of the pose, expressed as a small motion in ``base_link``.  The
       covariance of the pose grows while joint states are missing.
     - ``joints``: last joint states, or ``None`` before the first update.
+    - ``motion_time``: time (s) for which the robot has moved, for ``filter_covariance``.
     - ``covariance_at_joints``: covariance of the pose at the time of ``joints``.
     - ``calculator``: base calculator, which can be replaced between two updates without a change of
       the pose.
@@ -49,6 +55,7 @@ class Odometry:
         self.pose = ORIGIN
         self.covariance = ZERO_COV
         self.joints: JointStates | None = None
+        self.motion_time = 0.0
         self.covariance_at_joints = ZERO_COV
         self._time = -math.inf
         self._lasting_errors = LastingErrors(calculator.estimator)
@@ -99,6 +106,8 @@ class Odometry:
             self.covariance_at_joints, estimate.twist, estimate.covariance, elapsed, correlation
         )
         pose = self.pose.moved(motion)
+        if pose != self.pose:
+            self.motion_time += elapsed
         self.store(joints, now, estimate, pose, covariance)
 
     def mark_missing(self, now: float) -> None:
@@ -187,33 +196,54 @@ class WheelWarnings:
     def __init__(self) -> None:
         self._dropped: dict[int, float] = {}
         self._suspects: dict[int, float] = {}
+        self._sliding: dict[int, float] = {}
         self._time = math.inf
 
     def update(self, estimate: TwistEstimate, time: float) -> None:
         """Adds the estimate of a tick with joint states that were measured at ``time`` (s)."""
-        if estimate.dropped or estimate.suspects or self._dropped or self._suspects:
+        named = estimate.dropped or estimate.suspects or estimate.sliding
+        if named or self._dropped or self._suspects or self._sliding:
             elapsed = max(time - self._time, 0.0)
             gain = elapsed / (_TIME_CONSTANT + elapsed)
             _update(self._dropped, estimate.dropped, gain)
             _update(self._suspects, estimate.suspects, gain)
+            _update(self._sliding, estimate.sliding, gain)
         self._time = time
 
     def texts(self, names: Sequence[str]) -> list[str]:
         """Returns the present warnings for an operator; ``names``: names of all wheels."""
         warnings = []
         if dropped := _lasting(self._dropped):
-            wheels = ", ".join(names[i] for i in dropped)
             warnings.append(
-                f"odometry: left out {wheels}: the speed or direction disagrees with the other"
-                " wheels or with the command; check the encoders"
+                f"odometry: left out {_listed(dropped, names)}: the speed or direction disagrees"
+                " with the other wheels or with the command; check the encoders"
             )
-        if suspects := [i for i in _lasting(self._suspects) if i not in dropped]:
-            wheels = ", ".join(names[i] for i in suspects)
+        suspects = [i for i in _lasting(self._suspects) if i not in dropped]
+        sliding = [i for i in _lasting(self._sliding) if i not in dropped]
+        if suspects and (not sliding or len(suspects) == len(names) == len(sliding)):
             warnings.append(
-                f"odometry: the encoders of {wheels} may be wrong, or the wheels do not follow"
-                " their commands; the covariance covers both cases"
+                f"odometry: the encoders of {_listed(suspects, names)} may be wrong, or the wheels"
+                " do not follow their commands; the covariance covers both cases"
+            )
+        elif len(sliding) == len(names):
+            warnings.append(
+                "odometry: the wheels slide, the robot is held or pulled, and its motion is"
+                " unknown; look whether it moves"
+            )
+        elif sliding:
+            others = [i for i in suspects if i not in sliding] or suspects
+            are = "turns as commanded" if len(sliding) == 1 else "turn as commanded"
+            do = "does not" if len(others) == 1 else "do not"
+            warnings.append(
+                f"odometry: stuck, or encoders dead? {_listed(sliding, names)} {are}, and"
+                f" {_listed(others, names) or 'the gyro'} {do}: look whether the robot moves. If it"
+                " moves, check the encoders; the covariance covers both cases"
             )
         return warnings
+
+
+def _listed(wheels: Sequence[int], names: Sequence[str]) -> str:
+    return ", ".join(names[i] for i in wheels)
 
 
 def _update(shares: dict[int, float], wheels: Collection[int], gain: float) -> None:
@@ -328,7 +358,7 @@ class LastingErrors:
             # The first block starts, or the time of the joint states has decreased.
             self.start_time = joints.time
             return covariance
-        if pose != previous:
+        if pose != previous or estimate.suspects or estimate.sliding:
             try:
                 covariance = self._grown(covariance, joints, estimate, pose, elapsed)
             except (ZeroDivisionError, OverflowError):
@@ -353,6 +383,8 @@ class LastingErrors:
         errors = estimator.lasting_errors(joints, estimate, twist)
         # The odometry itself treats errors in directions that no wheel measures.
         tau = estimator.noise.correlation if estimate.rank == 3 else 0.0
+        if estimate.suspects or estimate.sliding:
+            tau = UNDECIDED_CORRELATION
         if not errors and not tau:
             return covariance
         # Position in the middle of the block, relative to the start of the drive.
@@ -486,36 +518,35 @@ def _parameters(estimator: TwistEstimator) -> tuple[object, ...]:
 # N T^2 Q.  The errors of a real twist last.  The published covariance is therefore larger, so that
 # the sum has the right covariance:
 #
-#     F = coth(T / 2 tau) Q + (2 tau_d / T) sum of k_b k_b'
+#     F = (1 + r (coth(T / 2 tau) - 1)) Q + (2 c t / T) sum of k_b k_b'
 #
-# Errors that last for some seconds: they have the covariance Q and, with a = exp(-T / tau) for tau
-# = ``Noise.correlation``, the autocorrelation a^n after n periods.  The variance of the sum of N
-# errors with the variance q is
+# Errors that last for some seconds: with a = exp(-T / tau) for tau = ``Noise.correlation``, they
+# have the autocorrelation a^n after n periods.  The variance of the sum of N errors with the
+# variance q is
 #
 #     q (N + 2 sum over n of (N - n) a^n)  ->  N q (1 + a) / (1 - a) = N q coth(T / 2 tau).
 #
-# For T << tau, the factor is 2 tau / T.  For tau = 0, the errors are white and the factor is 1.
+# For T << tau, the factor is 2 tau / T.  An error that lasts for the whole drive does not count as
+# one of some seconds too: r is the largest share of the variance of a speed or a direction that
+# does not last for the drive.  By default only that of a wheel at rest does not.
 #
 # Errors that last for the whole drive: a wrong radius or steering zero with the standard deviation
-# 1 causes the twist error k_b.  After a drive of the duration D, the sum has the variance (D k_b /
-# T)^2, which grows with D^2.  The variance of D / T independent errors grows with D, so that no
-# factor is right for all D.  With the factor 2 tau_d / T, as if the errors lasted for tau_d, the
-# filter is right about the yaw for D = 2 tau_d.  For position and yaw together, with constant k_b
-# and S = integral of Ad(pose) dt, the mean of the squared error in units of the filter's covariance
-# is
+# 1 causes the twist error k_b.  After t s of motion, the sum has the variance (t k_b / T)^2, which
+# grows with t^2; in a period it grows by 2 t k_b^2 / T.  With c = 1 the filter is thus right about
+# the yaw at all times.  Its error of the position is that of yaw errors which change, and is
+# smaller on a straight line than that of a constant one: with constant k_b, the mean of the squared
+# error in units of the filter's covariance, NEES/3, is 5/6 on a straight line, and 1/3 on circles,
+# where the error of the position stays bounded.  ``_DRIVE_ERROR_SHARE`` is between both: with
+# c = 0.6, NEES/3 is 1.4 and 0.6.
 #
-#     NEES / 3 = tr((2 tau_d integral of Ad k k' Ad' dt)^-1 S k k' S') / 3 = c D / (2 tau_d)
-#
-# with c = 2/3 on a straight line, where the errors of x and yaw add up and those of y do so by the
-# yaw, and c = 1/3 on circles, where only the yaw error adds up and the position error stays
-# bounded. (The matrix inequality of Cauchy and Schwarz gives c <= 1 for every path.)  D = 4 tau_d
-# is between both: NEES/3 is 4/3 on a straight line and 2/3 on circles.  ``DRIVE_ERROR_TIME`` gives
-# these values after 60 s.  After less time, the covariance of the filter is too large.  After much
-# more time without another sensor, it is too small.  ``LastingErrors`` has the right covariance of
-# the pose at all times.
+# From ``_LONGEST_DRIVE`` on, the factor stays: a filter that also has GNSS shall not distrust the
+# wheels after an hour.  Without another sensor it says too little from then on.  ``LastingErrors``
+# has the right covariance of the pose at all times.
 
-DRIVE_ERROR_TIME: Final = 15.0
-"""Time constant tau_d (s) of the errors that last for the whole drive: a quarter of 60 s."""
+_DRIVE_ERROR_SHARE: Final = 0.6
+"""Share c of the growth of the variance by errors that last for the whole drive."""
+_LONGEST_DRIVE: Final = 60.0
+"""Time (s) of motion after which errors count no longer."""
 
 
 def sum_of_autocorrelation(tau: float, period: float) -> float:
@@ -529,19 +560,35 @@ def sum_of_autocorrelation(tau: float, period: float) -> float:
 
 
 def filter_covariance(
-    estimator: TwistEstimator, joints: JointStates | None, estimate: TwistEstimate, period: float
+    estimator: TwistEstimator,
+    joints: JointStates | None,
+    estimate: TwistEstimate,
+    period: float,
+    motion_time: float,
 ) -> Cov3:
     """Returns the covariance F of vx, vy and wz for filters, in SI units, as the module derives it.
 
     - ``joints``: joint states of the estimate, or ``None`` before the first ones.
     - ``period``: time (s) between two twists.
+    - ``motion_time``: time (s) for which the robot has moved, see ``Odometry``.
     """
     if joints is None:
         return estimate.covariance
+    noise = estimator.noise
     # The odometry has the same rule for directions that no wheel measures.
-    tau = estimator.noise.correlation if estimate.rank == 3 else LOW_RANK_CORRELATION
-    factor = sum_of_autocorrelation(tau, period) if tau else 1.0
-    lasting = 2.0 * DRIVE_ERROR_TIME / period
+    tau, share = LOW_RANK_CORRELATION, 1.0
+    if estimate.rank == 3:
+        tau = noise.correlation
+        radius, _, offset = noise.lasting_errors
+        rolling, direction = noise.rolling, noise.direction
+        vx, vy, wz = estimate.twist
+        squared = vx * vx + vy * vy + estimator.length2 * wz * wz
+        at_rest = max(noise.speed_floor / rolling, noise.slip_floor / direction)
+        if squared:
+            lasts = min(radius / rolling, offset / direction)
+            share -= lasts * lasts * squared / (squared + at_rest * at_rest)
+    factor = 1.0 + share * (sum_of_autocorrelation(tau, period) - 1.0) if tau else 1.0
+    lasting = 2.0 * _DRIVE_ERROR_SHARE * min(motion_time, _LONGEST_DRIVE) / period
     xx = xy = xw = yy = yw = ww = 0.0
     for x, y, w in estimator.lasting_errors(joints, estimate, estimate.twist):
         xx += lasting * x * x

@@ -22,6 +22,7 @@ from tests.backends.ros2.packages import (
     write,
 )
 from tests.examples import SAMPLED_ROBOTS, example_fleet, example_robot
+from tests.slow import mostly_slow
 from thorvaldc.backends.ros2 import package_of
 from thorvaldc.model import Robot
 from thorvaldc.ros.parameters import PARAMETERS
@@ -96,7 +97,7 @@ def test_everything_that_a_launch_file_names_exists(name: str, tmp_path: Path) -
                 assert {full_name(node), *CHILDREN.get(node.name, ())} & set(nodes)
 
 
-@pytest.mark.parametrize("name", ["4wd4ws_wide", "car"])
+@pytest.mark.parametrize("name", mostly_slow(["4wd4ws_wide", "car"]))
 @pytest.mark.parametrize("namespace", ["", "r1"])
 def test_all_launch_files_start_in_the_name_space(
     name: str, namespace: str, tmp_path: Path

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
+from bench.filters import CASES, MIXED
 from tests.backends.rcl_parameters import read
 from tests.backends.ros2.packages import DISTROS, parameters, variant
-from tests.examples import SAMPLED_ROBOTS, example_robot
+from tests.examples import FOLDER, SAMPLED_ROBOTS, example_robot
 from tests.robots import make_robot
 from thorvaldc.backends.ros2 import package_of
 from thorvaldc.backends.ros2_parameters import teleop, twist_mux
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
+from thorvaldc.runtime.calculators import Noise
+from thorvaldc.runtime.run_time_parameters import Parameters
 
 
 def flat(value: Any, prefix: str = "") -> dict[str, Any]:
@@ -73,6 +79,25 @@ def test_only_a_package_with_an_ekf_has_a_twist_covariance_for_filters() -> None
     assert parameters(variant(name, odom_tf="ekf"))["/base_driver"]["twist_covariance"] == (
         "for_filters"
     )
+
+
+def test_the_file_names_the_noise_with_which_an_ekf_is_consistent(tmp_path: Path) -> None:
+    """``bench filters`` measures the filter with these settings."""
+    file = package_of(example_robot("4wd4ws_wide"))["config/base_driver.yaml"].decode()
+    settings = []
+    for text in re.findall(r"noise: (\{.*\})", file):
+        path = tmp_path / "robot.yaml"
+        robot = (FOLDER / "4wd4ws_slim" / "robot.yaml").read_text(encoding="utf-8")
+        path.write_text(robot + f"driver: {{noise: {text}}}\n", encoding="utf-8")
+        model = compile_file(path).model
+        assert isinstance(model, Robot)
+        settings.append(Parameters.from_robot(model).noise)
+    expected = [Noise(), *(CASES[kind][1] for kind in ("lasting 2 s", "white", MIXED))]
+    assert [noise.correlation for noise in settings] == [noise.correlation for noise in expected]
+    for noise, described in zip(settings, expected, strict=True):
+        assert noise.lasting_errors == pytest.approx(described.lasting_errors, rel=0.01)
+    without = package_of(variant("4wd4ws_slim", odom_tf="driver"))["config/base_driver.yaml"]
+    assert b"noise" not in without
 
 
 def test_process_noise_of_the_ekf_follows_from_the_limits_of_the_driver() -> None:

@@ -9,6 +9,7 @@ from xml.sax.saxutils import quoteattr
 import pytest
 
 from tests.compiler.extras.xacro_files import HEAD, STL, load, load_one, mesh
+from tests.slow import mostly_slow
 from thorvaldc.compiler.extras.xacro_expand import (
     DisplayPaths,
     ExpandedFile,
@@ -347,7 +348,7 @@ def test_expressions_of_published_descriptions_are_evaluated(tmp_path: Path) -> 
         assert text == (expected or str(tmp_path))
 
 
-@pytest.mark.parametrize("kind", ["collision", "visual"])
+@pytest.mark.parametrize("kind", mostly_slow(["collision", "visual"]))
 @pytest.mark.parametrize("path", ["file://{outside}/m.stl", "../outside/m.stl", "link.stl"])
 def test_meshes_of_other_folders_are_not_read(tmp_path: Path, path: str, kind: str) -> None:
     inside, outside = tmp_path / "robot", tmp_path / "outside"

@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import pytest
 
+from tests.slow import one_quick_of
 from thorvaldc.compiler.shapes.meshes import load_mesh
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Vec3
@@ -82,7 +83,7 @@ def is_accepted(path: Path, data: bytes) -> bool:
     return True
 
 
-@pytest.mark.parametrize("name", POINTS)
+@pytest.mark.parametrize("name", one_quick_of(3, POINTS))
 @pytest.mark.parametrize("suffix", ["stl", "obj", "ply"])
 def test_points(tmp_path: Path, suffix: str, name: str) -> None:
     points, accepted = POINTS[name]
@@ -90,7 +91,7 @@ def test_points(tmp_path: Path, suffix: str, name: str) -> None:
     assert is_accepted(tmp_path / f"m.{suffix}", data) == accepted
 
 
-@pytest.mark.parametrize("name", OBJ_LINES)
+@pytest.mark.parametrize("name", one_quick_of(3, OBJ_LINES))
 def test_lines_of_obj_files(tmp_path: Path, name: str) -> None:
     line, accepted = OBJ_LINES[name]
     assert is_accepted(tmp_path / "m.obj", obj(CORNERS, line)) == accepted

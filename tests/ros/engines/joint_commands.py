@@ -58,19 +58,22 @@ class Commander:
     def is_heard(self) -> bool:
         return all(p.get_subscription_count() for p in self.publishers.values())
 
+    def has_all_until(self, time: float) -> bool:
+        """Returns whether the messages of all topics have come: one can be later than another."""
+        newest = [messages[-1] for messages in (self.states, self.truth) if messages]
+        return all(seconds(message) > time for message in newest)
+
 
 def main(form: str, space: str, duration: str, speeds: str, angles: str) -> None:
     rclpy.init()
     commander = Commander(form, space, json.loads(speeds), json.loads(angles))
-    end, start = time.monotonic() + TIMEOUT, None
-    while time.monotonic() < end:
+    timeout, end = time.monotonic() + TIMEOUT, None
+    while end is None or not commander.has_all_until(end):
+        if time.monotonic() > timeout:
+            raise SystemExit("joint states come no longer, or never came")
         rclpy.spin_once(commander.node, timeout_sec=0.1)
-        if start is None and commander.is_heard() and commander.states:
-            start = seconds(commander.states[-1])
-        if start is not None and seconds(commander.states[-1]) > start + float(duration):
-            break
-    if not commander.states:
-        raise SystemExit("no joint states came")
+        if end is None and commander.is_heard() and commander.states:
+            end = seconds(commander.states[-1]) + float(duration)
     last = commander.states[-1]
     print(
         json.dumps(

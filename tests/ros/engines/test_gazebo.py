@@ -77,7 +77,8 @@ def check(result: dict[str, Any], shortest: float) -> None:
 
 
 @each_distro(both=True)
-@pytest.mark.parametrize("physics", ["mujoco", pytest.param("dart", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("physics", ["mujoco", "dart"])
 def test_a_steered_robot_drives_and_knows_where_it_is(
     distro: str, physics: str, tmp_path: Path
 ) -> None:

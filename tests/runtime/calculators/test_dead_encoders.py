@@ -1,4 +1,4 @@
-"""Two dead encoders of four: the good wheels are not named, and the covariance has the truth."""
+"""Two dead encoders of four, or two wheels that spin on a robot that is held: nothing decides."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from tests.runtime.calculators.test_wheel_rejection import FOUR, MOTIONS, joints
+from tests.runtime.calculators.test_wheel_causes import FOUR, MOTIONS, joints
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.general import General
@@ -50,13 +50,9 @@ def test_good_wheels_are_not_named(motion: Twist, commanded: bool) -> None:
         estimate = estimator.estimate(dead(healthy, *faulty), commands)
         verdicts[verdict(estimate, set(faulty))] += 1
         errors.append(nees(estimate, motion))
-    assert verdicts["wrong"] == 0
-    if commanded:
-        assert verdicts["right"] >= 0.5 * RUNS
-        assert np.mean(errors) <= 1.4
-    else:
-        assert verdicts["none"] == RUNS
-        assert np.median(errors) <= 2.0
+    assert verdicts == {"none": RUNS}
+    assert np.median(errors) <= 2.0
+    assert max(errors) <= 16.27 / 3.0
 
 
 def test_without_commands_the_covariance_contains_both_cases() -> None:
@@ -64,8 +60,9 @@ def test_without_commands_the_covariance_contains_both_cases() -> None:
     estimator = TwistEstimator(BaseGeometry.from_wheels(FOUR))
     estimate = estimator.estimate(dead(joints(FOUR, Twist(0.8, 0.0, 0.0)), 0, 1))
     assert estimate.dropped == ()
-    assert estimate.twist.vx == pytest.approx(0.4, abs=0.05)
-    assert math.sqrt(estimate.covariance[0][0]) == pytest.approx(0.4, abs=0.05)
+    sigma = math.sqrt(estimate.covariance[0][0])
+    assert estimate.twist.vx <= 2.0 * sigma
+    assert 0.8 - estimate.twist.vx <= 2.0 * sigma
 
 
 def test_calculator_uses_its_last_command() -> None:
@@ -74,17 +71,19 @@ def test_calculator_uses_its_last_command() -> None:
     calculator.command(motion)
     states = dead(joints(FOUR, motion), 0, 1)
     estimate = calculator.odometry(states)
-    assert estimate.dropped == (0, 1)
-    assert estimate.twist.vx == pytest.approx(0.8, abs=0.01)
+    assert (estimate.dropped, estimate.sliding) == ((), (2, 3))
+    assert {0, 1} <= set(estimate.suspects)
     # A robot that was not commanded to move is pushed, or two of its encoders are wrong.
     calculator.command(Twist(0.0, 0.0, 0.0))
-    assert calculator.odometry(states).dropped == ()
+    estimate = calculator.odometry(states)
+    assert estimate.dropped == ()
+    assert {2, 3} <= set(estimate.suspects)
 
 
-def test_wheels_that_all_stand_are_not_suspect() -> None:
-    """All drives are late: no wheel disagrees, so the commands have no influence."""
+def test_wheels_that_all_stand_measure_a_robot_that_stands() -> None:
+    """All drives are late, or stall: no wheel disagrees, so the commands hardly count."""
     estimator = TwistEstimator(BaseGeometry.from_wheels(FOUR))
     commands = joints(FOUR, Twist(0.8, 0.0, 0.0)).speeds
     estimate = estimator.estimate(dead(joints(FOUR, Twist(0.8, 0.0, 0.0)), 0, 1, 2, 3), commands)
     assert estimate.dropped == ()
-    assert estimate.twist == pytest.approx((0.0, 0.0, 0.0))
+    assert estimate.twist == pytest.approx((0.0, 0.0, 0.0), abs=0.02)

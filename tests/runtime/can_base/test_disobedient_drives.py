@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable
 from typing import Any
 
@@ -277,3 +278,25 @@ def test_a_power_stage_that_returns_moves_nothing() -> None:
     assert steering.read(rig.now).position == pytest.approx(turned, abs=0.01)
     assert rig.state is BaseState.ESTOP
     assert all(controller.is_off for controller in rig.base.state_machine.controllers)
+
+
+@every_drive
+@pytest.mark.parametrize("twist", [ZERO_TWIST, FAST])
+def test_random_speeds_of_a_wheel_stop_the_robot(robot: Callable[[], Robot], twist: Twist) -> None:
+    rig = Rig(robot())
+    rig.drive(FAST, 3.0)
+    rig.twist = twist
+    rig.run(3.0)
+    encoder, _ = rig.simulated.devices[FL].channel_motor(0)
+    assert encoder is not None
+    draw = random.Random(1)
+    encoder.noise = lambda: draw.uniform(-5.0, 5.0) if draw.random() < 0.3 else None
+    rig.until(lambda: rig.state is BaseState.FAULT, 1.0)
+    assert f"{FL}: the reported speed of the propulsion jumps, as no wheel can" in rig.reason
+    stand_within(rig, stop_bound(rig.robot, DETECTED_FAULT).time)
+    encoder.noise = lambda: None
+    rig.twist = ZERO_TWIST
+    rig.run(5.0)
+    rig.driven.reset()
+    rig.drive(FAST, 3.0)
+    assert rig.speed() == pytest.approx(0.8, abs=0.02)

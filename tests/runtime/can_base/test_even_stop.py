@@ -10,7 +10,7 @@ from tests.model.stops import stop_bound
 from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import compiled
-from tests.slow import mostly_exhaustive
+from tests.slow import mostly_exhaustive, mostly_slow
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.model.stopping import BUS_LOST, BUS_SILENT, DRIVER_DEAD, swerve_bounds
@@ -84,7 +84,7 @@ def bound(drives: str, kind: str) -> float:
 
 
 @both
-@pytest.mark.parametrize("side", ["port", "starboard"])
+@pytest.mark.parametrize("side", mostly_slow(["port", "starboard"]))
 @pytest.mark.parametrize("how", ["bus-off", "unplugged"])
 def test_all_wheels_stop_together(drives: str, side: str, how: str) -> None:
     drive = Drive(drives)

@@ -13,6 +13,7 @@ from tests.examples import SAMPLED_ROBOTS, example_robot
 from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import cia402, each_drive, roboteq
+from tests.slow import mostly_slow, one_quick_of
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_timing import (
     reading_time,
@@ -41,18 +42,21 @@ def limit(robot: Robot) -> float:
     return reading_time(bus, bus.sync_period) + 2 * bus.sync_period
 
 
-@pytest.mark.parametrize("node", ["fl_controller", "fr_controller"])
+@pytest.mark.parametrize("node", mostly_slow(["fl_controller", "fr_controller"]))
 @pytest.mark.parametrize(
     ("index", "subindex", "value"),
-    [
-        (0x1015, 0, 9),
-        (0x1016, 1, 0),
-        (0x6007, 0, 0),
-        (0x605A, 0, 0),
-        (0x6084, 0, 1),
-        (0x6085, 0, 1),
-        (0x6884, 0, 1),
-    ],
+    one_quick_of(
+        6,
+        [
+            (0x1015, 0, 9),
+            (0x1016, 1, 0),
+            (0x6007, 0, 0),
+            (0x605A, 0, 0),
+            (0x6084, 0, 1),
+            (0x6085, 0, 1),
+            (0x6884, 0, 1),
+        ],
+    ),
 )
 def test_a_change_that_nothing_else_shows(node: str, index: int, subindex: int, value: int) -> None:
     robot = cia402()
@@ -92,7 +96,7 @@ def test_every_required_object_is_read_within_the_stated_time(make: Make) -> Non
 
 
 @both
-@pytest.mark.parametrize("index", [0x1400, 0x1401, 0x1600, 0x1800, 0x1A00, 0x1017])
+@pytest.mark.parametrize("index", one_quick_of(3, [0x1400, 0x1401, 0x1600, 0x1800, 0x1A00, 0x1017]))
 def test_a_changed_communication_object_is_a_fault(make: Make, index: int) -> None:
     """Another protection may be faster, such as that against missing reports."""
     robot = make()

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from tests.examples import FOLDER, example_robot
+from tests.slow import mostly_slow
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.model import Fleet
@@ -97,7 +98,7 @@ def test_a_large_fleet_shows_the_velocities_of_some() -> None:
     assert "6 of 8 robots" in figure.axes[-1].get_xlabel()
 
 
-@pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
+@pytest.mark.parametrize("kind", mostly_slow(["png", "svg", "pdf"]))
 def test_equal_runs_give_equal_bytes(tmp_path: Path, kind: str) -> None:
     files = []
     for name in ("one", "two"):

@@ -88,7 +88,7 @@ def calibrated(robot: Robot, log: JointLog) -> tuple[CalibrationResult, str]:
     ("robot", "motion", "tau"),
     [
         (FOUR, MIXED, 0.1),
-        (CAR, CURVES, 1.0),
+        pytest.param(CAR, CURVES, 1.0, marks=pytest.mark.slow),
         pytest.param(FOUR, MIXED, 0.0, marks=pytest.mark.slow),
         pytest.param(FOUR, MIXED, 1.0, marks=pytest.mark.exhaustive),
         pytest.param(CAR, CURVES, 0.0, marks=pytest.mark.exhaustive),

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from tests.cli.conftest import Command, run_in_this_process
+from tests.slow import mostly_slow, one_quick_of
 from thorvaldc.commissioning import commission_page
 from thorvaldc.commissioning.commission_report import (
     CommissionReport,
@@ -299,11 +300,14 @@ def test_a_report_that_does_not_count_is_refused(
 
 @pytest.mark.parametrize(
     ("old", "new"),
-    [
-        ("width: 0.9 m", "width: 1.1 m"),
-        ("frame.front_left}\n  right", "frame.front_right}\n  right"),
-        ("front_left}", "front_left, params: {inverted: true}}"),
-    ],
+    one_quick_of(
+        3,
+        [
+            ("width: 0.9 m", "width: 1.1 m"),
+            ("frame.front_left}\n  right", "frame.front_right}\n  right"),
+            ("front_left}", "front_left, params: {inverted: true}}"),
+        ],
+    ),
 )
 def test_a_wheel_at_another_place_has_not_been_checked(
     thorvaldc: Command, folder: Path, report: str, old: str, new: str
@@ -355,7 +359,7 @@ def connect(monkeypatch: pytest.MonkeyPatch, **serials: str) -> None:
     monkeypatch.setattr(simulated_robot.SimulatedRobot, "__init__", labelled)
 
 
-@pytest.mark.parametrize("stated", [False, True], ids=["unknown", "in the robot file"])
+@pytest.mark.parametrize("stated", mostly_slow([False, True]), ids=["unknown", "in the robot file"])
 def test_a_replaced_controller_has_not_been_checked(
     thorvaldc: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stated: bool
 ) -> None:

@@ -62,7 +62,7 @@ def robot_of(kind: str) -> Robot:
 RIGHT_ROBOTS = (*EXAMPLES[:3], "cia402_steered", *EXAMPLES[3:])
 
 
-@pytest.mark.parametrize("kind", mostly_slow(RIGHT_ROBOTS, quick=3, slow=1))
+@pytest.mark.parametrize("kind", mostly_slow(RIGHT_ROBOTS, quick=1, slow=3))
 def test_a_right_robot_passes(kind: str) -> None:
     assembly = Assembly(robot_of(kind))
     outcome = run_checks(assembly)
@@ -130,7 +130,7 @@ def test_wrong_assemblies_are_named(case: tuple[int, str]) -> None:
 MUJOCO_CASES = [(seed, (*EXAMPLES[:3], "cia402_steered")[seed % 4]) for seed in range(12)]
 
 
-@pytest.mark.parametrize("case", mostly_slow(MUJOCO_CASES, quick=2, slow=2))
+@pytest.mark.parametrize("case", mostly_slow(MUJOCO_CASES, quick=1, slow=3))
 def test_wrong_assemblies_with_the_motors_of_mujoco(case: tuple[int, str]) -> None:
     """The robot floats without gravity and contacts, as one whose wheels are off the ground."""
     seed, robot = case[0], robot_of(case[1])

@@ -134,7 +134,7 @@ def values(outcome: Outcome) -> dict[str, bool]:
 KINDS = ("2wd0ws_greenhouse", "lss")
 FIRST = [("stall", KINDS[0]), ("foreign heartbeat", KINDS[0]), ("blink", KINDS[1])]
 CASES = FIRST + [(n, k) for n in UNRELATED for k in KINDS if (n, k) not in FIRST]
-cases = pytest.mark.parametrize("case", mostly_slow(CASES, quick=len(FIRST), slow=4), ids=str)
+cases = pytest.mark.parametrize("case", mostly_slow(CASES, quick=1, slow=len(FIRST) + 3), ids=str)
 
 
 @cases

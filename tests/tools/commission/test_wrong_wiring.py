@@ -10,9 +10,10 @@ import pytest
 
 from tests.cli.conftest import Command
 from tests.examples import FOLDER
+from tests.slow import mostly_slow
 
 
-@pytest.mark.parametrize("exchanged", [False, True])
+@pytest.mark.parametrize("exchanged", mostly_slow([False, True]))
 def test_the_serial_numbers_of_the_labels_decide_which_wheel_turns(
     exchanged: bool, thorvaldc: Command, tmp_path: Path
 ) -> None:

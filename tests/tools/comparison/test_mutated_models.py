@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from tests.examples import example_fleet, example_robot
+from tests.slow import mostly_slow
 from thorvaldc.comparison.difference_text import difference_document, difference_text
 from thorvaldc.comparison.robot_comparison import compare_fleets, compare_robots
 from thorvaldc.model import Fleet, Robot
@@ -91,7 +92,9 @@ def test_another_order_is_a_difference() -> None:
     assert "order" in text
 
 
-@pytest.mark.parametrize("path", [("robot", "name"), ("pose", "xyz", 0), ("robot", "wheels")])
+@pytest.mark.parametrize(
+    "path", mostly_slow([("robot", "name"), ("pose", "xyz", 0), ("robot", "wheels")])
+)
 def test_a_change_in_a_fleet_is_a_difference(path: tuple[Any, ...]) -> None:
     fleet = example_fleet("fleet_of_four")
     document = json.loads(to_json(fleet))

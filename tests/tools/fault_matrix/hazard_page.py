@@ -115,10 +115,11 @@ FAULTS = (
     ),
     Hazard(
         "wrong speeds are reported",
-        "",
+        "changes of the reported speed of a wheel that no motion explains",
         ("three in ten speeds of a wheel are random",),
-        (ROWS,),
-        "nothing notices it; the odometry of a robot with two drives is wrong",
+        (ROWS, f"{CAN}/test_disobedient_drives.py::test_random_speeds_of_a_wheel_stop_the_robot"),
+        "one wrong report a second, and speeds that are wrong by less than a motor changes them in"
+        " 0.1 s: the odometry of a robot with two drives is wrong",
     ),
     Hazard(
         "the power fails",

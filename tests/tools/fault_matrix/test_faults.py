@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Command
-from thorvaldc.tools.fault_matrix import fault_matrix, rehearsal
+from thorvaldc.tools.fault_matrix import rehearsal
+from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix, FaultRow
+from thorvaldc.tools.fault_matrix.fault_reaction import Reaction
 
 ROBOT = """\
 thorvaldc: 1
@@ -63,7 +65,15 @@ def test_json_names_the_model_of_the_build(thorvaldc: Command) -> None:
 
 
 def test_a_broken_promise_is_status_1(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fault_matrix, "broken_limits", lambda *arguments: ["too late"])
+    late = Reaction("fault", 0.9, "no tpdo1", 1.3, 0.9, 0.4, 0.0)
+
+    def rows(matrix: FaultMatrix, *arguments: object) -> list[FaultRow]:
+        return [
+            FaultRow(case, dict.fromkeys(case.phases, late), {"driving": ["too late"]})
+            for case in matrix.cases
+        ]
+
+    monkeypatch.setattr(FaultMatrix, "rows", rows)
     status, out, _ = thorvaldc("faults", "pair.yaml", "--only", "EMCY", "-j", "1")
     assert status == 1
     assert "- EMCY message of a drive (thorvald_roboteq), driving: too late" in out

@@ -1,4 +1,4 @@
-"""Estimator of the robot's twist from its joint states, with rejection of faulty wheels.
+"""Estimator of the robot's twist from its joint states, with the causes of wheels that disagree.
 
 Steps of an estimate (the module ``twist_fit`` derives the equations):
 
@@ -8,7 +8,8 @@ Steps of an estimate (the module ``twist_fit`` derives the equations):
    option ``EstimatorOptions.polish`` adds more Gauss-Newton steps.
 3.  A chi-square test compares the measurements of each wheel with the measurements of all other
     wheels.
-4.  If a wheel fails its test, ``wheel_rejection`` searches for the faulty wheels.
+4.  If a wheel fails its test, or contradicts its command, ``wheel_causes`` finds the hypotheses
+    that explain the readings, and the estimate is their mixture (``wheel_mixture``).
 
 For every wheel that does not swivel, a side slip of 0 counts as a measurement.  Every wheel with an
 encoder measures its rolling speed.  If the contact of a wheel lies beside or behind its steering
@@ -30,7 +31,7 @@ from typing import Final, NamedTuple
 from thorvaldc.model.spatial import symmetric_eigenvalues
 from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates, NotFiniteError
-from thorvaldc.runtime.calculators import wheel_rejection
+from thorvaldc.runtime.calculators import wheel_causes, wheel_mixture
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.twist_fit import (
     ROLL_AND_SIDE,
@@ -46,7 +47,6 @@ from thorvaldc.runtime.calculators.twist_fit import (
     WheelConstants,
     chi_squares,
     fit_twist,
-    misfit,
     solve3,
     unweighted_normal_equations,
 )
@@ -74,10 +74,11 @@ class TwistEstimate(NamedTuple):
       Each chi-square has two degrees of freedom, or one degree of freedom for a passive wheel.  The
       chi-square of a wheel that is not tested is 0. ``chi_squares`` is empty if the calculator does
       not test wheels.
-    - ``dropped``: indices of the faulty wheels.  The estimator has left out one or both
-      measurements of each faulty wheel.
-    - ``suspects``: indices of the wheels that may be faulty, if neither the other wheels nor the
-      commands decide.  The covariance covers all cases.
+    - ``dropped``: indices of the wheels that are clearly wrong.  The estimator has left out one or
+      both measurements of each of them.
+    - ``suspects``: indices of the wheels that may be wrong, if nothing decides.
+    - ``sliding``: indices of the wheels that may slide over the ground.  The covariance covers all
+      cases.
     """
 
     twist: Twist
@@ -86,6 +87,7 @@ class TwistEstimate(NamedTuple):
     chi_squares: tuple[float, ...] = ()
     dropped: tuple[int, ...] = ()
     suspects: tuple[int, ...] = ()
+    sliding: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +95,8 @@ class EstimatorOptions:
     """Options of the twist estimator.
 
     - ``gate``: share of the ticks in which the estimator may reject a wheel of a healthy robot.
-    - ``faulty``: largest number of faulty wheels to leave out although they follow their commands,
-      0 to 2.  If ``faulty`` is 0, wheels are tested but never left out.
+    - ``faulty``: largest number of wrong wheels to leave out although they follow their commands, 0
+      to 2.  If ``faulty`` is 0, wheels are tested but never left out.
     - ``polish``: number of additional Gauss-Newton steps.  Each additional Gauss-Newton step brings
       the estimated twist closer to the maximum-likelihood estimate.
     """
@@ -118,8 +120,7 @@ class TwistEstimator:
     The documentation of the module ``twist_estimator`` lists the steps of an estimate.
 
     The estimator leaves out only the wrong measurement of a faulty wheel, because a slipping wheel
-    still measures its direction.  If no combination of faulty wheels explains the misfit, the
-    estimator uses all wheels and increases the covariance with the misfit.
+    still measures its direction.
 
     - ``wheels``: constants of the wheels that do not swivel.
     - ``gates``: chi-square above which a wheel is suspect, for each wheel that does not swivel.
@@ -127,7 +128,6 @@ class TwistEstimator:
       matrix.  ``inverse`` is ``None`` if the matrix depends on the steering angles.
     - ``least_deviation``: distance (rad/s) of all speeds from the commands below which each wheel
       follows its command.
-    - ``least_command``: speed (rad/s) below which no wheel can contradict its command.
     - ``prior``: prior information (inverse variances) about the velocity and the yaw rate.  The
       estimator uses the prior only if the joint states do not determine the whole twist.
     """
@@ -172,8 +172,7 @@ class TwistEstimator:
         self.gates = tuple(gate2 if w.flags == ROLL_AND_SIDE else gate1 for w in wheels)
         self._price = gate1
         largest_radius = max((w.radius for w in wheels if w.radius), default=1.0)
-        self.least_deviation = wheel_rejection.FOLLOWING_FLOOR / largest_radius
-        self.least_command = wheel_rejection.COMMANDED_SPEED / largest_radius
+        self.least_deviation = wheel_causes.FOLLOWING_FLOOR / largest_radius
         self._all_measure = len(wheels) == self._n
         self.inverse = self._constant_inverse()
 
@@ -220,7 +219,7 @@ class TwistEstimator:
         """Estimates the twist that agrees best with the joint states, with its covariance and rank.
 
         ``commanded``: last commanded speed (rad/s) of each wheel, or ``None`` if the commands are
-        unknown.  The commands only help to find out which wheels are faulty.
+        unknown.  The commands only help to find out why wheels disagree.
 
         Raises ``NotFiniteError`` if a joint state is not a finite number, or so large that the
         result is not finite.
@@ -243,7 +242,7 @@ class TwistEstimator:
         if self.options.faulty:
             disagree = any(map(operator.gt, tests, self.gates))
             if disagree or self.may_deviate(states.speeds, commanded):
-                return self._reject_wheels(
+                return self._mixture(
                     measurements, fit, tests, prior, states, rank, commanded, disagree
                 )
         return self._result(fit, tests, rank)
@@ -475,7 +474,7 @@ class TwistEstimator:
 
     # -- rejection and result -----------------------------------------------------------
 
-    def _reject_wheels(
+    def _mixture(
         self,
         measurements: list[Measurement],
         fit: Fit,
@@ -486,52 +485,46 @@ class TwistEstimator:
         commanded: Sequence[float] | None,
         disagree: bool,
     ) -> TwistEstimate:
-        """Returns the estimate without the faulty wheels.
+        """Returns the mixture of the hypotheses that explain the readings.
 
-        If no combination of faulty wheels explains the misfit, the estimate uses all wheels and has
-        a larger covariance.
+        If no hypothesis explains the misfit, the estimate uses all wheels and has a larger
+        covariance.
         """
-        yaw_rate = states.yaw_rate
-        doubts, speeds = wheel_rejection.Suspicion(False, False, (), ()), []
+        yaw_rate, turning = states.yaw_rate, []
         if commanded is not None:
-            turning = [
-                (w.radius, states.speeds[w.number], commanded[w.number]) for w in self.wheels
-            ]
-            doubts = wheel_rejection.suspicion([(r * v, r * target) for r, v, target in turning])
-            # The contact of a wheel beside its steering axis also moves with the steering joint.
-            speeds = [
-                m[5] + r * (target - v)
-                for m, (r, v, target) in zip(measurements, turning, strict=True)
-            ]
-        steps = 1 + self.options.polish
-        fits = wheel_rejection.HypothesisFits(
-            self._solve, self.squares, prior, self.prior, yaw_rate, steps, speeds
+            for w in self.wheels:
+                i = w.number
+                turning.append((w.radius * states.speeds[i], w.radius * commanded[i]))
+        against = wheel_causes.contradiction(fit, measurements, turning)
+        if not (disagree or against.doubtful):
+            return self._result(fit, tests, rank)
+        fits = wheel_causes.Fits(
+            self._solve, self.squares, prior, self.prior, yaw_rate, 1 + self.options.polish
         )
-        if not disagree:
-            doubted = wheel_rejection.doubted_wheels(fit, doubts)
-            if not doubted:
-                return self._result(fit, tests, rank)
-            covered = wheel_rejection.covering(fit, [1.0], [fits.without_encoders(measurements)])
-            return self._result(covered, tests, rank, (), doubted)
-        search = wheel_rejection.HypothesisSearch(
-            self.gates, self._price, self.options.faulty, doubts, fits
+        search = wheel_causes.CauseSearch(
+            self.gates, self._price, self.options.faulty, self.length2, against, fits
         )
-        hypotheses = search.likely_hypotheses(measurements, fit)
+        hypotheses = search.likely_hypotheses(measurements, fit, disagree)
         if not hypotheses:
             rows = sum((m[0] & USE_ROLL > 0) + (m[0] & USE_SIDE > 0) for m in measurements)
             freedom = rows + (yaw_rate is not None) - rank
             # The reduced chi-square is the factor by which the measured variance exceeds the
             # assumed variance.
-            growth = max(1.0, misfit(fit) / max(freedom, 1))
-            covered = wheel_rejection.covering(
-                fit, [growth, 1.0], [fit, fits.without_encoders(measurements)]
-            )
+            growth = max(1.0, fits.misfit(fit) / max(freedom, 1))
+            fits_of_all = [
+                wheel_mixture.with_covariance(fit, growth),
+                search.all_encoders_wrong(measurements),
+                search.sliding(measurements, fit, certain=True).fit,
+            ]
+            covered = wheel_mixture.covering(fit, [1.0, 1.0, 0.25], fits_of_all)
             failed = [k for k, d in enumerate(tests) if d > self.gates[k]]
             return self._result(covered, tests, rank, (), failed)
-        mean, probability = wheel_rejection.mixture(hypotheses)
-        faulty = wheel_rejection.faulty_wheels(hypotheses, probability)
-        suspects = () if faulty else {k for h in hypotheses for k in h.rejected}
-        return self._result(mean, chi_squares(hypotheses[0].fit), rank, faulty, tuple(suspects))
+        mean, left_out, suspects, sliding = wheel_mixture.mixture(
+            hypotheses, as_measured=not disagree
+        )
+        if not hypotheses[0].sliding:
+            tests = chi_squares(hypotheses[0].fit)
+        return self._result(mean, tests, rank, left_out, suspects, sliding)
 
     def _result(
         self,
@@ -540,10 +533,11 @@ class TwistEstimator:
         rank: int,
         dropped: Sequence[int] = (),
         suspects: Sequence[int] = (),
+        sliding: Sequence[int] = (),
     ) -> TwistEstimate:
         """Returns the estimate at ``base_link``.
 
-        - ``dropped``, ``suspects``: indices of measurements.
+        - ``dropped``, ``suspects``, ``sliding``: indices of measurements.
 
         A fit about the centroid (xm, ym) with the twist xi and the covariance P is converted to
         ``base_link`` by xi' = A xi and P' = A P A', with A = [1 0 ym; 0 1 -xm; 0 0 1].
@@ -569,8 +563,11 @@ class TwistEstimator:
         # Calling a class of named tuples takes twice as long as making the tuple directly.
         new = tuple.__new__
         twist = new(Twist, (vx, vy, wz))
-        if dropped or suspects:
+        if dropped or suspects or sliding:
             numbers = [wheel.number for wheel in self.wheels]
             dropped = tuple(sorted(numbers[k] for k in dropped))
             suspects = tuple(sorted(numbers[k] for k in suspects))
-        return new(TwistEstimate, (twist, covariance, rank, tuple(tests), dropped, suspects))
+            sliding = tuple(sorted(numbers[k] for k in sliding))
+        return new(
+            TwistEstimate, (twist, covariance, rank, tuple(tests), dropped, suspects, sliding)
+        )

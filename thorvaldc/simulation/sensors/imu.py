@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from thorvaldc.runtime.odometry import DRIVE_ERROR_TIME, sum_of_autocorrelation
+from thorvaldc.runtime.odometry import sum_of_autocorrelation
 from thorvaldc.simulation.sensors.simulated_sensor import (
     Array,
     Message,
@@ -16,6 +16,10 @@ from thorvaldc.simulation.sensors.simulated_sensor import (
     diagonal,
     quaternion,
 )
+
+BIAS_TIME = 15.0
+"""Time constant (s) of the bias of a gyro for a filter, which takes errors as independent: with the
+bias of the whole drive, the yaw of the filter has the right variance after 30 s."""
 
 
 class Imu(SimulatedSensor):
@@ -54,7 +58,7 @@ class Imu(SimulatedSensor):
         values, variance, gyro_variance = self.numbers, self._accuracy**2, deviation**2
         if self.settings.for_filters:
             variance *= sum_of_autocorrelation(values["orientation_time"], self.period)
-            gyro_variance += 2.0 * DRIVE_ERROR_TIME / self.period * values["gyro_bias"] ** 2
+            gyro_variance += 2.0 * BIAS_TIME / self.period * values["gyro_bias"] ** 2
         # REP 145: -1 marks an orientation that the unit does not know.
         known = diagonal(variance) if variance else (-1.0, *[0.0] * 8)
         message = self._message(

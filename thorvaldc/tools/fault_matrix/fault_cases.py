@@ -26,6 +26,8 @@ FROZEN_STEERING, FROZEN_WHEEL = 1.8, 0.7
 """Longest time (s) until a frozen encoder of a turning motor is detected."""
 SWINGING = 5.0
 """Longest time (s) in which a steering joint that swings about a wrong angle is noticed."""
+RANDOM_SPEEDS = 1.2
+"""Longest time (s) in which random speeds among those that a wheel reports are noticed."""
 NOT_FOLLOWING = 1.8
 """Longest time (s) until a drive that ignores its commands is detected."""
 CREEPING = 1.2
@@ -430,16 +432,16 @@ def _wrong_data_cases(target: _Target) -> Iterator[FaultCase]:
         yield case(
             "two in five commands of a drive are lost", lost, None, by_ramp=True, braking=0.1
         )
-    later: dict[str, Any] = {"phases": (IDLE, *MOVING_PHASES), "braking": NOT_FOLLOWING}
     if wheel is not None:
         number = target.number(wheel)
         wrong = partial(Rehearsal.falsify_speed, node=node, channel=number, share=0.3, largest=5.0)
-        yield case("three in ten speeds of a wheel are random", wrong, None, **later, observed=5.0)
+        name = "three in ten speeds of a wheel are random"
+        yield case(name, wrong, RANDOM_SPEEDS, phases=(IDLE, *MOVING_PHASES), observed=3.0)
     if steering is not None:
         number, angle = target.number(steering), math.radians(12.0)
         swing = partial(Rehearsal.hunt, node=node, channel=number, speed=1.0)
         hunts = partial(swing, offset=angle, angle=angle)
-        later["braking"] = SWINGING
+        later: dict[str, Any] = {"phases": (IDLE, *MOVING_PHASES), "braking": SWINGING}
         yield case("a steering hunts about a wrong angle", hunts, SWINGING, **later, observed=10.0)
 
 

@@ -59,6 +59,7 @@ def run_forked(work: Sequence[Callable[[], T]], jobs: int) -> Iterator[tuple[int
     waiting = list(enumerate(work))
     running: dict[Connection, tuple[int, Any]] = {}
     # A garbage collection in a copy would touch, and so copy, the memory of the whole simulation.
+    was_frozen = gc.get_freeze_count() > 0
     gc.collect()
     gc.freeze()
     try:
@@ -76,7 +77,8 @@ def run_forked(work: Sequence[Callable[[], T]], jobs: int) -> Iterator[tuple[int
                 yield index, _result(receiver)
                 process.join()
     finally:
-        gc.unfreeze()
+        if not was_frozen:  # else also by others, who count on it
+            gc.unfreeze()
         for _, process in running.values():
             process.terminate()
             process.join()

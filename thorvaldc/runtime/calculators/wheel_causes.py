@@ -1,0 +1,512 @@
+"""Causes that make wheels disagree, and the mixture of the twists that follow from the causes.
+
+A wheel that disagrees with the other wheels or with its command has one of these causes:
+
+================  =========================================  =======================================
+cause             examples                                   rolling speed of the contact
+================  =========================================  =======================================
+healthy           rolls, lags, is pushed, stalls             reading z
+wrong encoder     dead, reversed, stuck, wrong scale         command c
+sliding           ice, mud, held by a wall, pulled           anything up to the speed of the wheels
+wrong wheel       wrong steering angle, slips alone          what agrees with the other wheels
+================  =========================================  =======================================
+
+A hypothesis gives each wheel a cause, and has its own fit of the twist.  Up to a constant, its cost
+is -2 log of its likelihood:
+
+    cost = misfit of the used measurements + price of the causes
+
+N are the wheels that contradict their commands: |z - c| exceeds the error e(c) of
+``following_error``.  Hypotheses:
+
+1.  All wheels are healthy.  Price 0.
+2.  One or two wheels are wrong wheels, whichever fit best.  Price k q for the k-th of them, where
+    ``q`` is the chi-square that a healthy wheel exceeds with the permitted rate of false alarms.
+3.  The encoders of N are wrong, the robot moves as the other wheels say, and N follow their
+    commands.  Price ``_ONE_ENCODER`` for one wheel, if no load explains its deviation, and
+    ``_ENCODERS`` for more, which then share a cause, such as a cable.  Encoders that read different
+    shares of their commands share no cause: ``_OTHER_CAUSE`` for each further share.  If the other
+    wheels disagree, one more is wrong.
+4.  The readings are right, and the wheels slide: the robot is held or pulled.  Price ``_SLIDING``.
+    Its twist is the fit of all wheels with the standard deviation |1 - z / c| v / 2 of the wheel
+    that deviates most, where v is the speed of the fastest wheel.  A held robot and one that moves
+    as commanded then lie within two standard deviations.
+
+A motor that turns as commanded says nothing about the ground.  If three wheels of four turn as
+commanded and one stands, its encoder is dead (3), or the robot stands and three wheels spin (4).
+Neither the vote of the three wheels nor their commands decide.  A gyro decides if the hypotheses
+differ in the yaw rate.  Wheels that contradict their commands and agree with each other decide too:
+a push turns all of them at once, but several stuck encoders agree by accident only.  Without
+commands, N are the wheels that stand while others turn.
+
+The likely hypotheses are combined as a mixture of normal distributions.  In the covariance, each
+has at least the weight w = ``_LEAST_WEIGHT``.  If a hypothesis at the distance d from the mean is
+true, the squared error d' (w d d' + ...)^-1 d is at most 1 / w, below the 99.9 % quantile 16.3 of
+the chi-square distribution with 3 degrees of freedom.
+
+Wheels that agree may still contradict their commands: all of them, or wheels that no other wheel
+confirms.  Hypotheses 3 and 4 are then added to the covariance, unless a load or a delay may explain
+the deviation: all wheels then read nearly the same share of their commands, between
+1 - ``_DOUBTFUL`` and 1 + ``_DOUBTFUL``.
+
+Wheels do not see that all of them spin as commanded on a robot that is held, nor a wrong radius.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+
+from thorvaldc.runtime.calculators.twist_fit import (
+    TEST_ROLL,
+    USE_ROLL,
+    USE_SIDE,
+    Fit,
+    Measurement,
+    NoiseSquares,
+    NormalEquations,
+    add_rolling_speed,
+    chi_squares,
+    compare_with_others,
+    fit_twist,
+    misfit,
+    rolling_leverage,
+    unweighted_normal_equations,
+)
+from thorvaldc.runtime.calculators.wheel_mixture import Hypothesis
+from thorvaldc.runtime.se2 import Row3
+
+_FOLLOWING: Final = 0.03
+"""Error of a wheel that follows its command, relative to the commanded speed."""
+FOLLOWING_FLOOR: Final = 0.015
+"""Error (m/s) of a wheel that follows its command, in addition to the relative error.
+
+A wheel that accelerates by 0.75 m/s^2 is so much slower than its command of the last tick.
+"""
+_COMMANDED_SPEED: Final = 0.05
+"""Commanded speed (m/s) from which a reading is a share of the command."""
+_DOUBTFUL: Final = 0.4
+"""Deviation from the command, relative to the command, that no load or delay explains."""
+_COMMON_LAG: Final = 0.1
+"""Largest difference of the shares of their commands that wheels with a common lag reach."""
+_EQUAL_SHARES: Final = 0.1
+"""Largest difference between the shares of their commands that encoders with one cause read."""
+_EQUAL_READINGS: Final = 0.005
+"""Largest difference (m/s) between the readings of encoders with one cause."""
+_STANDING: Final = 0.005
+"""Speed (m/s) below which a wheel stands."""
+_UNCONFIRMED: Final = 0.75
+"""Share of a measured speed in its own estimate from which no other wheel confirms it."""
+_DRAGGED: Final = 0.1
+"""Standard deviation (m/s) of the speed of a robot that is dragged on wheels that should stand.
+
+It is added to half of the wheels' speed.
+"""
+_SLIDING_SHARE: Final = 0.6
+"""Standard deviation of the speed of a robot that slides for certain, relative to its wheels."""
+
+_HELD_YAW_RATE: Final = 0.02
+"""Standard deviation (rad/s) of the yaw rate of a robot that is held."""
+
+_ONE_ENCODER: Final = 5.0
+_ENCODERS: Final = 10.0
+_OTHER_CAUSE: Final = 5.0
+_SLIDING: Final = 9.0
+_AGAINST_MOTOR: Final = 5.0
+"""Price of wheels that the ground turns backwards or faster than their motors should."""
+_CREDIBLE: Final = 6.63
+"""The fit still uses one of the two measurements of a wrong wheel up to this chi-square.
+
+The number is the 1 % quantile of the chi-square distribution with 1 degree of freedom.
+"""
+_NEGLIGIBLE: Final = 9.2
+"""A hypothesis has a weight below 1 % if its cost exceeds the smallest cost by this difference."""
+_PAIR_SEEDS: Final = 3
+"""Number of the most likely single wrong wheels that the search extends to pairs of wheels."""
+
+
+def following_error(speed: float) -> float:
+    """Returns the largest error (m/s) of a wheel that follows its commanded speed (m/s)."""
+    return FOLLOWING_FLOOR + _FOLLOWING * abs(speed)
+
+
+class Fits(NamedTuple):
+    """Fits the twist to the measurements of a tick, for given causes of the wheels.
+
+    - ``solve``: solves the unweighted normal equations.
+    - ``squares``: variances from ``Noise.squares``.
+    - ``prior``: prior information for measurements of trusted wheels.
+    - ``weak_prior``: prior information if the trusted wheels may not determine the twist.
+    - ``yaw_rate``: yaw rate (rad/s) that a gyro measures, or ``None`` without a gyro.
+    - ``steps``: number of Gauss-Newton steps of ``refit``.
+    """
+
+    solve: Callable[[NormalEquations, float | None], tuple[Row3, int]]
+    squares: NoiseSquares
+    prior: tuple[float, float]
+    weak_prior: tuple[float, float]
+    yaw_rate: float | None
+    steps: int
+
+    def refit(self, measurements: list[Measurement], previous: Fit) -> Fit:
+        """Fits with weights from a previous fit."""
+        for _ in range(self.steps):
+            vx, vy, wz = previous[:3]
+            previous = fit_twist(measurements, vx, vy, wz, self.squares, self.prior, self.yaw_rate)
+        return previous
+
+    def anew(self, measurements: list[Measurement]) -> Fit:
+        """Fits with weights from the unweighted fit of the same measurements.
+
+        The weights of the healthy wheels are then independent of the faulty wheels.
+        """
+        (vx, vy, wz), _ = self.solve(unweighted_normal_equations(measurements), self.yaw_rate)
+        first = fit_twist(measurements, vx, vy, wz, self.squares, self.prior, self.yaw_rate)
+        return self.refit(measurements, first)
+
+    def with_speeds(
+        self, measurements: list[Measurement], wheels: Sequence[int], speeds: Sequence[float]
+    ) -> tuple[Fit, float]:
+        """Fits without the encoders of some wheels, and returns the fit and its misfit.
+
+        ``speeds``: rolling speed (m/s) of the contact of each measured wheel, with the errors of
+        ``following_error``, in place of the encoders of ``wheels``; empty if nothing is known.
+        """
+        expected = [*measurements]
+        remaining = [*measurements]
+        for k in wheels:
+            m = measurements[k]
+            remaining[k] = with_use(m, m[0] & USE_SIDE)
+            expected[k] = (m[0], *m[1:5], speeds[k], *m[6:]) if speeds else remaining[k]
+        # The weights need a twist that the replaced encoders do not influence.
+        (vx, vy, wz), _ = self.solve(unweighted_normal_equations(expected), self.yaw_rate)
+        fit = fit_twist(remaining, vx, vy, wz, self.squares, self.weak_prior, self.yaw_rate)
+        if not speeds:
+            return fit, self.misfit(fit)
+        for k in wheels:
+            fit = add_rolling_speed(fit, k, speeds[k], following_error(speeds[k]) ** 2)
+        disagreement = self.misfit(fit)
+        for k in wheels:
+            _, c, s, x, y = fit.measurements[k][:5]
+            rolls = c * (fit.vx - y * fit.wz) + s * (fit.vy + x * fit.wz)
+            disagreement += ((speeds[k] - rolls) / following_error(speeds[k])) ** 2
+        return fit, disagreement
+
+    def misfit(self, fit: Fit) -> float:
+        """Returns the misfit of the wheels and of the gyro."""
+        return misfit(fit) + self.gyro_misfit(fit)
+
+    def gyro_misfit(self, fit: Fit) -> float:
+        """Returns the misfit of the gyro, 0 without a gyro."""
+        if self.yaw_rate is None:
+            return 0.0
+        return (self.yaw_rate - fit.wz) ** 2 / self.squares[5]
+
+
+class Contradiction(NamedTuple):
+    """Wheels that contradict their commands.
+
+    - ``wheels``: indices of the measurements of these wheels, N.
+    - ``commands``: commanded rolling speed (m/s) of the contact of each measured wheel, or empty if
+      the commands are unknown.
+    - ``causes``: least number of causes that the encoders of N have, if they are wrong.
+    - ``pushed``: number of wheels that turn, as others confirm, although they should stand.
+    - ``doubtful``: ``True`` if no load or delay explains the deviations, or no other wheel confirms
+      a wheel.
+    """
+
+    wheels: tuple[int, ...]
+    commands: Sequence[float]
+    causes: int
+    pushed: int
+    doubtful: bool
+
+
+def contradiction(
+    fit: Fit, measurements: Sequence[Measurement], turning: Sequence[tuple[float, float]]
+) -> Contradiction:
+    """Returns the wheels that contradict their commands; without commands, those that stand.
+
+    - ``fit``: fitted twist with all measurements.
+    - ``turning``: measured and commanded speed (m/s) of each measured wheel, or empty if the
+      commands are unknown.
+    """
+    if not turning:
+        standing = [k for k in encoders(measurements) if abs(measurements[k][5]) < _STANDING]
+        return Contradiction(tuple(standing), (), 1, 0, False)
+    wheels: list[int] = []
+    shares: list[float] = []
+    readings: list[float] = []
+    pushed, doubtful, highest, lowest = 0, False, -math.inf, math.inf
+    for k in encoders(measurements):
+        measured, command = turning[k]
+        follows = abs(measured - command) <= following_error(command)
+        share = measured / command if abs(command) > _COMMANDED_SPEED and not follows else 1.0
+        highest, lowest = max(highest, share), min(lowest, share)
+        if follows:
+            continue
+        wheels.append(k)
+        confirmed = rolling_leverage(fit, k) <= _UNCONFIRMED
+        if abs(command) <= _COMMANDED_SPEED:
+            pushed += confirmed
+            continue
+        doubtful = doubtful or not confirmed or abs(share - 1.0) > _DOUBTFUL
+        if confirmed:
+            _add_distinct(shares, share, _EQUAL_SHARES)
+            _add_distinct(readings, measured, _EQUAL_READINGS)
+    commands = [
+        # The contact of a wheel beside its steering axis also moves with the steering joint.
+        m[5] + command - measured
+        for m, (measured, command) in zip(measurements, turning, strict=True)
+    ]
+    causes = max(pushed + min(len(shares), len(readings)), 1)
+    doubtful = doubtful or highest - lowest > _COMMON_LAG
+    return Contradiction(tuple(wheels), commands, causes, pushed, doubtful)
+
+
+def _add_distinct(values: list[float], value: float, tolerance: float) -> None:
+    if all(abs(value - other) > tolerance for other in values):
+        values.append(value)
+
+
+class CauseSearch:
+    """Finds the likely causes of wheels that disagree.
+
+    - ``gates``: for each measured wheel, the chi-square above which the wheel disagrees.
+    - ``price``: cost q of a wrong wheel.
+    - ``max_wrong``: largest number of wrong wheels of hypothesis 2, 0 to 2.
+    - ``length2``: square of the length (m) that relates yaw rates to speeds.
+    - ``against``: wheels that contradict their commands.
+    - ``fits``: fits of the twist for given causes.
+    """
+
+    def __init__(
+        self,
+        gates: Sequence[float],
+        price: float,
+        max_wrong: int,
+        length2: float,
+        against: Contradiction,
+        fits: Fits,
+    ) -> None:
+        self._gates = gates
+        self._price = price
+        self._max_wrong = max_wrong
+        self._length2 = length2
+        self._against = against
+        self._fits = fits
+
+    def likely_hypotheses(
+        self, measurements: list[Measurement], fit: Fit, disagree: bool
+    ) -> list[Hypothesis]:
+        """Returns all likely hypotheses, the most likely first.
+
+        - ``fit``: fitted twist with all measurements.
+        - ``disagree``: ``True`` if a wheel exceeds its gate.
+
+        Returns an empty list if no hypothesis explains the misfit.
+        """
+        healthy = self._wrong_wheels((), measurements, fit)
+        encoders_wrong = self._wrong_encoders(measurements)
+        hypotheses = [healthy, *encoders_wrong]
+        may_slide = self._against.wheels or self._gyro_slip(measurements)
+        if not disagree:
+            # The agreement of wheels that contradict their commands proves nothing.
+            return [*hypotheses, self.sliding(measurements, fit)] if may_slide else hypotheses
+        known = [{*h.wrong} for h in encoders_wrong]
+        singles = self._one_more_wrong(healthy, known)
+        singles.sort(key=_cost)
+        hypotheses += singles
+        if singles and self._max_wrong > 1 and min(hypotheses, key=_cost).worst_ratio > 1.0:
+            for rank, single in enumerate(singles[:_PAIR_SEEDS]):
+                # The list already contains all pairs of wheels with a more likely wrong wheel.
+                visited = [s.wrong[0] for s in singles[:rank]]
+                hypotheses += self._one_more_wrong(single, known, visited)
+        if may_slide:
+            hypotheses.append(self.sliding(measurements, fit))
+        hypotheses.sort(key=_cost)
+        best = hypotheses[0]
+        if best.worst_ratio > 2.0:  # twice the gate has about the square of the gate's probability
+            return []
+        likely = [h for h in hypotheses if h.cost - best.cost < _NEGLIGIBLE]
+        every = encoders(measurements)
+        if self._against.commands and any(2 * len(h.wrong) >= len(every) for h in likely):
+            # Nothing confirms the encoders of a minority: the errors of all may be small.
+            last = self._encoders_wrong(every, measurements, 0.0)
+            likely.append(last._replace(cost=best.cost + _NEGLIGIBLE))
+        return likely
+
+    # -- hypothesis 3 -------------------------------------------------------------------
+
+    def _wrong_encoders(self, measurements: list[Measurement]) -> list[Hypothesis]:
+        """Returns the hypothesis that the encoders of N are wrong, and perhaps one more."""
+        wheels = self._against.wheels
+        others = [k for k in encoders(measurements) if k not in wheels]
+        if not wheels or not (others or self._against.commands):
+            return []
+        alone = len(wheels) == 1 and self._against.doubtful
+        price = _ONE_ENCODER if alone else _ENCODERS
+        price += _OTHER_CAUSE * (self._against.causes - 1)
+        hypotheses = [self._encoders_wrong(wheels, measurements, price)]
+        if hypotheses[0].worst_ratio > 1.0:
+            price += self._price
+            hypotheses += [self._encoders_wrong((*wheels, k), measurements, price) for k in others]
+        return hypotheses
+
+    def _encoders_wrong(
+        self, wheels: tuple[int, ...], measurements: list[Measurement], price: float
+    ) -> Hypothesis:
+        fit, disagreement = self._fits.with_speeds(measurements, wheels, self._against.commands)
+        ratio = self._worst_ratio(fit, wheels)
+        if ratio <= 1.0:
+            # Dead encoders and wheels that stand have no noise: a smaller misfit is no evidence.
+            disagreement = self._fits.gyro_misfit(fit)
+        return Hypothesis(wheels, (), fit, disagreement + price, ratio, fit, measurements)
+
+    # -- hypothesis 4 -------------------------------------------------------------------
+
+    def sliding(
+        self, measurements: list[Measurement], fit: Fit, *, certain: bool = False
+    ) -> Hypothesis:
+        """Returns the hypothesis that the wheels slide.
+
+        - ``fit``: fitted twist with all measurements.
+        - ``certain``: ``True`` if no other hypothesis explains the readings.
+        """
+        every, wheels = encoders(measurements), self._against.wheels
+        commands = self._against.commands
+        fastest = max([*(abs(measurements[k][5]) for k in every), *map(abs, commands)], default=0.0)
+        sigma, against_motor = 0.0, False
+        for k in wheels:
+            measured = measurements[k][5]
+            command = commands[k] if commands else fastest
+            if abs(command) <= _COMMANDED_SPEED:
+                sigma = max(sigma, abs(measured - command) / 2.0 + _DRAGGED)
+                continue
+            share = measured / command
+            slip = min(abs(1.0 - share), 2.0) * fastest / 2.0
+            if slip > sigma:
+                sigma = slip
+                against_motor = not -_EQUAL_SHARES < share < 1.0 + _EQUAL_SHARES
+        turning = self._gyro_slip(measurements)
+        share = 1.0
+        if certain or turning:
+            sigma = max(sigma, _SLIDING_SHARE * fastest, 2.0 * turning)
+            share = 0.5
+        cost = _SLIDING + _OTHER_CAUSE * max(self._against.pushed - 1, 0)
+        cost += _AGAINST_MOTOR * against_motor
+        variance = sigma * sigma
+        wz, angular, gyro_misfit = self._with_gyro(share * fit.wz, variance / self._length2)
+        vx, vy, rest = share * fit.vx, share * fit.vy, fit.measurements
+        slid = Fit(vx, vy, wz, variance, 0.0, 0.0, variance, 0.0, angular, rest)
+        others = tuple(k for k in every if k not in wheels)
+        return Hypothesis((), others or every, slid, cost + gyro_misfit, 0.0, slid, measurements)
+
+    def all_encoders_wrong(self, measurements: list[Measurement]) -> Fit:
+        """Fits where all encoders are wrong, and all wheels follow their commands."""
+        every = encoders(measurements)
+        return self._fits.with_speeds(measurements, every, self._against.commands)[0]
+
+    def _gyro_slip(self, measurements: list[Measurement]) -> float:
+        """Returns the speed (m/s) at the wheels by which a gyro contradicts the commands, or 0."""
+        yaw_rate = self._fits.yaw_rate
+        if yaw_rate is None or not self._against.commands:
+            return 0.0
+        length, wz = math.sqrt(self._length2), self.all_encoders_wrong(measurements).wz
+        noise = 3.0 * math.sqrt(self._fits.squares[5])
+        turning = length * abs(yaw_rate - wz)
+        return turning if turning > following_error(length * wz) + length * noise else 0.0
+
+    def _with_gyro(self, wz: float, variance: float) -> tuple[float, float, float]:
+        """Returns a yaw rate and its variance after a measurement by the gyro, and the misfit.
+
+        A wide distribution predicts the measurement with a small density, unless the robot stands.
+        """
+        yaw_rate, noise = self._fits.yaw_rate, self._fits.squares[5]
+        if yaw_rate is None or not variance:
+            return wz, variance, 0.0
+        total = variance + noise
+        slides = (yaw_rate - wz) ** 2 / total + math.log(total / noise)
+        stands = yaw_rate * yaw_rate / (noise + _HELD_YAW_RATE**2)
+        wz += variance / total * (yaw_rate - wz)
+        return wz, variance * noise / total, min(slides, stands)
+
+    # -- hypotheses 1 and 2 -------------------------------------------------------------
+
+    def _one_more_wrong(
+        self, hypothesis: Hypothesis, known: Sequence[set[int]], visited: Sequence[int] = ()
+    ) -> list[Hypothesis]:
+        """Returns all hypotheses with one more wrong wheel than ``hypothesis``.
+
+        - ``known``: sets of wheels that other hypotheses already leave out.
+        - ``visited``: indices of wheels that the search has already taken as wrong.
+
+        A wheel can be wrong only if the other wheels determine the twist without it.
+        """
+        extended: list[Hypothesis] = []
+        if len(hypothesis.wrong) >= self._max_wrong:
+            return extended
+        for k, measurement in enumerate(hypothesis.others.measurements):
+            if k in hypothesis.wrong or k in visited:
+                continue
+            if not compare_with_others(hypothesis.others, measurement).redundant:
+                continue
+            wrong = (*hypothesis.wrong, k)
+            if set(wrong) in known:
+                continue
+            remaining = [
+                with_use(m, 0) if j in wrong else m for j, m in enumerate(hypothesis.measurements)
+            ]
+            extended.append(self._wrong_wheels(wrong, remaining, self._fits.anew(remaining)))
+        return extended
+
+    def _wrong_wheels(
+        self, wrong: tuple[int, ...], measurements: list[Measurement], fit: Fit
+    ) -> Hypothesis:
+        """Computes the cost of wrong wheels, and keeps the correct measurement of each.
+
+        A slipping wheel still measures its direction correctly.  A wheel with a wrong steering
+        angle still measures its speed correctly.
+        """
+        ratio = self._worst_ratio(fit, wrong)
+        cost = self._fits.misfit(fit)
+        measurements, current = [*measurements], fit
+        for order, k in enumerate(wrong, 1):
+            cost += order * self._price
+            if not measurements[k][0] & TEST_ROLL:
+                continue
+            comparison = compare_with_others(current, current.measurements[k])
+            smaller = min(comparison.roll, comparison.side)
+            if smaller >= _CREDIBLE:
+                cost += _CREDIBLE
+            else:
+                cost += smaller
+                row = USE_ROLL if comparison.roll == smaller else USE_SIDE
+                measurements[k] = with_use(measurements[k], row)
+                current = self._fits.refit(measurements, current)
+        return Hypothesis(wrong, (), current, cost, ratio, fit, measurements)
+
+    def _worst_ratio(self, fit: Fit, others: Sequence[int]) -> float:
+        ratios = [0.0]
+        for k, (d, gate) in enumerate(zip(chi_squares(fit), self._gates, strict=True)):
+            if k not in others:
+                ratios.append(d / gate)
+        return max(ratios)
+
+
+def encoders(measurements: Sequence[Measurement]) -> tuple[int, ...]:
+    """Returns the indices of the measurements with an encoder that the fit may use."""
+    return tuple(k for k, m in enumerate(measurements) if m[0] & USE_ROLL)
+
+
+def _cost(hypothesis: Hypothesis) -> float:
+    return hypothesis.cost
+
+
+def with_use(measurement: Measurement, use: int) -> Measurement:
+    """Returns a copy of a measurement with different flags for its use by the fit.
+
+    ``use`` is ``USE_ROLL``, ``USE_SIDE``, or 0 if the fit must not use the measurement.
+    """
+    return (measurement[0] & ~(USE_ROLL | USE_SIDE) | use, *measurement[1:])
