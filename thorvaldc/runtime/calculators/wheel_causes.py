@@ -413,7 +413,10 @@ class CauseSearch:
         yaw_rate = self._fits.yaw_rate
         if yaw_rate is None or not self._against.commands:
             return 0.0
-        length, wz = math.sqrt(self._length2), self.all_encoders_wrong(measurements).wz
+        without_gyro = self._fits._replace(yaw_rate=None)
+        every, commands = encoders(measurements), self._against.commands
+        wz = without_gyro.with_speeds(measurements, every, commands)[0].wz
+        length = math.sqrt(self._length2)
         noise = 3.0 * math.sqrt(self._fits.squares[5])
         turning = length * abs(yaw_rate - wz)
         return turning if turning > following_error(length * wz) + length * noise else 0.0
