@@ -122,6 +122,8 @@ The number is the 1 % quantile of the chi-square distribution with 1 degree of f
 """
 _NEGLIGIBLE: Final = 9.2
 """A hypothesis has a weight below 1 % if its cost exceeds the smallest cost by this difference."""
+_LEAST_LIKELY: Final = 9.0
+"""Largest difference at which a hypothesis counts for certain."""
 _PAIR_SEEDS: Final = 3
 """Number of the most likely single wrong wheels that the search extends to pairs of wheels."""
 
@@ -310,7 +312,8 @@ class CauseSearch:
         healthy = self._wrong_wheels((), measurements, fit)
         encoders_wrong = self._wrong_encoders(measurements)
         hypotheses = [healthy, *encoders_wrong]
-        may_slide = self._against.wheels or self._gyro_slip(measurements)
+        turns_otherwise = self._gyro_slip(measurements) > 0.0
+        may_slide = self._against.wheels or turns_otherwise
         if not disagree:
             # The agreement of wheels that contradict their commands proves nothing.
             return [*hypotheses, self.sliding(measurements, fit)] if may_slide else hypotheses
@@ -324,7 +327,13 @@ class CauseSearch:
                 visited = [s.wrong[0] for s in singles[:rank]]
                 hypotheses += self._one_more_wrong(single, known, visited)
         if may_slide:
-            hypotheses.append(self.sliding(measurements, fit))
+            sliding = self.sliding(measurements, fit)
+            if (
+                turns_otherwise
+            ):  # two wheels and a gyro agree by accident: one of them explains both
+                most = min(h.cost for h in hypotheses) + _LEAST_LIKELY
+                sliding = sliding._replace(cost=min(sliding.cost, most))
+            hypotheses.append(sliding)
         hypotheses.sort(key=_cost)
         best = hypotheses[0]
         if best.worst_ratio > 2.0:  # twice the gate has about the square of the gate's probability
@@ -413,7 +422,10 @@ class CauseSearch:
         yaw_rate = self._fits.yaw_rate
         if yaw_rate is None or not self._against.commands:
             return 0.0
-        length, wz = math.sqrt(self._length2), self.all_encoders_wrong(measurements).wz
+        without_gyro = self._fits._replace(yaw_rate=None)
+        every, commands = encoders(measurements), self._against.commands
+        wz = without_gyro.with_speeds(measurements, every, commands)[0].wz
+        length = math.sqrt(self._length2)
         noise = 3.0 * math.sqrt(self._fits.squares[5])
         turning = length * abs(yaw_rate - wz)
         return turning if turning > following_error(length * wz) + length * noise else 0.0
