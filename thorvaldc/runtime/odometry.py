@@ -9,7 +9,7 @@ from typing import Final
 
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates, NotFiniteError
-from thorvaldc.runtime.calculators import BaseCalculator
+from thorvaldc.runtime.calculators import BaseCalculator, WheelGeometry
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimate, TwistEstimator
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, ZERO_TWIST, Cov3, Pose2, Row3, Twist
 
@@ -64,7 +64,7 @@ class Odometry:
     @property
     def warnings(self) -> list[str]:
         """Warnings about wheels that the odometry leaves out or doubts, for an operator."""
-        return self._wheel_warnings.texts([w.name for w in self.calculator.geometry.wheels])
+        return self._wheel_warnings.texts(self.calculator.geometry.wheels)
 
     def reset(self, pose: Pose2 = ORIGIN) -> None:
         """Sets the pose of the odometry and resets its covariance to zero."""
@@ -203,47 +203,47 @@ class WheelWarnings:
         """Adds the estimate of a tick with joint states that were measured at ``time`` (s)."""
         named = estimate.dropped or estimate.suspects or estimate.sliding
         if named or self._dropped or self._suspects or self._sliding:
-            elapsed = max(time - self._time, 0.0)
+            elapsed = min(max(time - self._time, 0.0), LONGEST_INTERVAL)
             gain = elapsed / (_TIME_CONSTANT + elapsed)
             _update(self._dropped, estimate.dropped, gain)
             _update(self._suspects, estimate.suspects, gain)
             _update(self._sliding, estimate.sliding, gain)
         self._time = time
 
-    def texts(self, names: Sequence[str]) -> list[str]:
-        """Returns the present warnings for an operator; ``names``: names of all wheels."""
+    def texts(self, wheels: Sequence[WheelGeometry]) -> list[str]:
+        """Returns the present warnings for an operator; ``wheels``: all wheels of the robot."""
         warnings = []
         if dropped := _lasting(self._dropped):
             warnings.append(
-                f"odometry: left out {_listed(dropped, names)}: the speed or direction disagrees"
+                f"odometry: left out {_listed(dropped, wheels)}: the speed or direction disagrees"
                 " with the other wheels or with the command; check the encoders"
             )
         suspects = [i for i in _lasting(self._suspects) if i not in dropped]
         sliding = [i for i in _lasting(self._sliding) if i not in dropped]
-        if suspects and (not sliding or len(suspects) == len(names) == len(sliding)):
+        others = [i for i in suspects if i not in sliding and wheels[i].encoder]
+        if sliding and others:
+            are = "turns as commanded" if len(sliding) == 1 else "turn as commanded"
+            do = "does not" if len(others) == 1 else "do not"
             warnings.append(
-                f"odometry: the encoders of {_listed(suspects, names)} may be wrong, or the wheels"
-                " do not follow their commands; the covariance covers both cases"
+                f"odometry: stuck, or encoders dead? {_listed(sliding, wheels)} {are}, and"
+                f" {_listed(others, wheels)} {do}: look whether the robot moves. If it moves, check"
+                " the encoders; the covariance covers both cases"
             )
-        elif len(sliding) == len(names):
+        elif suspects:
+            warnings.append(
+                f"odometry: the measured speed or direction of {_listed(suspects, wheels)} may be"
+                " wrong, or the robot does not move as commanded; the covariance covers both cases"
+            )
+        elif sliding:
             warnings.append(
                 "odometry: the wheels slide, the robot is held or pulled, and its motion is"
                 " unknown; look whether it moves"
             )
-        elif sliding:
-            others = [i for i in suspects if i not in sliding] or suspects
-            are = "turns as commanded" if len(sliding) == 1 else "turn as commanded"
-            do = "does not" if len(others) == 1 else "do not"
-            warnings.append(
-                f"odometry: stuck, or encoders dead? {_listed(sliding, names)} {are}, and"
-                f" {_listed(others, names) or 'the gyro'} {do}: look whether the robot moves. If it"
-                " moves, check the encoders; the covariance covers both cases"
-            )
         return warnings
 
 
-def _listed(wheels: Sequence[int], names: Sequence[str]) -> str:
-    return ", ".join(names[i] for i in wheels)
+def _listed(numbers: Sequence[int], wheels: Sequence[WheelGeometry]) -> str:
+    return ", ".join(wheels[i].name for i in numbers)
 
 
 def _update(shares: dict[int, float], wheels: Collection[int], gain: float) -> None:

@@ -30,7 +30,8 @@ N are the wheels that contradict their commands: |z - c| exceeds the error e(c) 
 4.  The readings are right, and the wheels slide: the robot is held or pulled.  Price ``_SLIDING``.
     Its twist is the fit of all wheels with the standard deviation |1 - z / c| v / 2 of the wheel
     that deviates most, where v is the speed of the fastest wheel.  A held robot and one that moves
-    as commanded then lie within two standard deviations.
+    as commanded then lie within two standard deviations.  A reading above ``_IMPOSSIBLE`` times the
+    top speed is wrong here too.
 
 A motor that turns as commanded says nothing about the ground.  If three wheels of four turn as
 commanded and one stands, its encoder is dead (3), or the robot stands and three wheels spin (4).
@@ -105,7 +106,8 @@ It is added to half of the wheels' speed.
 """
 _SLIDING_SHARE: Final = 0.6
 """Standard deviation of the speed of a robot that slides for certain, relative to its wheels."""
-
+_IMPOSSIBLE: Final = 2.0
+"""Multiple of the top speed above which a reading is wrong: sliding does not explain it."""
 _HELD_YAW_RATE: Final = 0.02
 """Standard deviation (rad/s) of the yaw rate of a robot that is held."""
 
@@ -158,12 +160,15 @@ class Fits(NamedTuple):
             previous = fit_twist(measurements, vx, vy, wz, self.squares, self.prior, self.yaw_rate)
         return previous
 
-    def anew(self, measurements: list[Measurement]) -> Fit:
+    def anew(self, measurements: list[Measurement]) -> Fit | None:
         """Fits with weights from the unweighted fit of the same measurements.
 
-        The weights of the healthy wheels are then independent of the faulty wheels.
+        The weights of the healthy wheels are then independent of the faulty wheels.  Returns
+        ``None`` if the measurements and the prior do not determine the twist.
         """
-        (vx, vy, wz), _ = self.solve(unweighted_normal_equations(measurements), self.yaw_rate)
+        (vx, vy, wz), rank = self.solve(unweighted_normal_equations(measurements), self.yaw_rate)
+        if rank < 3 and not self.prior[0]:
+            return None
         first = fit_twist(measurements, vx, vy, wz, self.squares, self.prior, self.yaw_rate)
         return self.refit(measurements, first)
 
@@ -313,7 +318,8 @@ class CauseSearch:
         encoders_wrong = self._wrong_encoders(measurements)
         hypotheses = [healthy, *encoders_wrong]
         turns_otherwise = self._gyro_slip(measurements) > 0.0
-        may_slide = self._against.wheels or turns_otherwise
+        impossible = self._impossible(measurements)
+        may_slide = turns_otherwise or any(k not in impossible for k in self._against.wheels)
         if not disagree:
             # The agreement of wheels that contradict their commands proves nothing.
             return [*hypotheses, self.sliding(measurements, fit)] if may_slide else hypotheses
@@ -328,9 +334,8 @@ class CauseSearch:
                 hypotheses += self._one_more_wrong(single, known, visited)
         if may_slide:
             sliding = self.sliding(measurements, fit)
-            if (
-                turns_otherwise
-            ):  # two wheels and a gyro agree by accident: one of them explains both
+            if turns_otherwise:
+                # Two wheels and a gyro agree by accident: one of them explains both.
                 most = min(h.cost for h in hypotheses) + _LEAST_LIKELY
                 sliding = sliding._replace(cost=min(sliding.cost, most))
             hypotheses.append(sliding)
@@ -385,6 +390,10 @@ class CauseSearch:
         """
         every, wheels = encoders(measurements), self._against.wheels
         commands = self._against.commands
+        if impossible := self._impossible(measurements):
+            fit = self._fits.with_speeds(measurements, impossible, commands)[0]
+            every = tuple(k for k in every if k not in impossible)
+            wheels = tuple(k for k in wheels if k not in impossible)
         fastest = max([*(abs(measurements[k][5]) for k in every), *map(abs, commands)], default=0.0)
         sigma, against_motor = 0.0, False
         for k in wheels:
@@ -411,6 +420,10 @@ class CauseSearch:
         slid = Fit(vx, vy, wz, variance, 0.0, 0.0, variance, 0.0, angular, rest)
         others = tuple(k for k in every if k not in wheels)
         return Hypothesis((), others or every, slid, cost + gyro_misfit, 0.0, slid, measurements)
+
+    def _impossible(self, measurements: list[Measurement]) -> list[int]:
+        limit = _IMPOSSIBLE / math.sqrt(self._fits.weak_prior[0])
+        return [k for k in encoders(measurements) if abs(measurements[k][5]) > limit]
 
     def all_encoders_wrong(self, measurements: list[Measurement]) -> Fit:
         """Fits where all encoders are wrong, and all wheels follow their commands."""
@@ -470,7 +483,9 @@ class CauseSearch:
             remaining = [
                 with_use(m, 0) if j in wrong else m for j, m in enumerate(hypothesis.measurements)
             ]
-            extended.append(self._wrong_wheels(wrong, remaining, self._fits.anew(remaining)))
+            fit = self._fits.anew(remaining)
+            if fit is not None:
+                extended.append(self._wrong_wheels(wrong, remaining, fit))
         return extended
 
     def _wrong_wheels(
