@@ -24,6 +24,7 @@ from thorvaldc.simulation.physics.sim_base import SimBase
 
 ROBOTS = robots()
 THREE = list(ROBOTS["3 steered"].wheels)
+SKID_STEERED = [(0.5, 0.4), (0.5, -0.4), (-0.5, 0.4), (-0.5, -0.4)]
 
 
 def with_speeds(states: JointStates, speeds: dict[int, float]) -> JointStates:
@@ -102,6 +103,23 @@ def test_a_robot_that_is_pushed_is_not_suspect() -> None:
     assert estimator.estimate(states, [0.0] * 4) == estimator.estimate(states)
 
 
+@pytest.mark.parametrize("places", [[(0.0, 0.4), (0.0, -0.4)], SKID_STEERED], ids=["two", "skid"])
+def test_a_wheel_that_stands_while_the_robot_is_pushed_is_doubted(
+    places: list[tuple[float, float]],
+) -> None:
+    """Its encoder is dead.  No other wheel confirms it, or wheels that skid are not tested."""
+    wheels = [wheel(f"w{i}", x, y, "fixed") for i, (x, y) in enumerate(places)]
+    estimator = TwistEstimator(BaseGeometry.from_wheels(wheels))
+    zeros = [0.0] * len(wheels)
+    pushed = JointStates(0.0, [2.0] * len(wheels), zeros, zeros)
+    assert estimator.estimate(pushed, zeros) == estimator.estimate(pushed)
+    for dead in range(1, len(wheels)):
+        estimate = estimator.estimate(with_speeds(pushed, dict.fromkeys(range(dead), 0.0)), zeros)
+        error = np.array(estimate.twist) - (0.4, 0.0, 0.0)
+        assert error @ np.linalg.solve(np.array(estimate.covariance), error) <= 16.27
+        assert estimate.suspects
+
+
 def test_closed_form_of_two_wheels_compares_them_with_their_commands() -> None:
     wheels = [wheel("left", 0.0, 0.4, "fixed"), wheel("right", 0.0, -0.4, "fixed")]
     calculator = Differential(BaseGeometry.from_wheels(wheels))
@@ -115,8 +133,7 @@ def test_closed_form_of_two_wheels_compares_them_with_their_commands() -> None:
 
 def test_wheels_that_skid_may_disagree_by_any_amount() -> None:
     """They are not tested, so that their fit may be much less likely than the other causes."""
-    places = [(0.5, 0.4), (0.5, -0.4), (-0.5, 0.4), (-0.5, -0.4)]
-    wheels = [wheel(f"w{i}", x, y, "fixed") for i, (x, y) in enumerate(places)]
+    wheels = [wheel(f"w{i}", x, y, "fixed") for i, (x, y) in enumerate(SKID_STEERED)]
     estimator = TwistEstimator(BaseGeometry.from_wheels(wheels))
     zeros = [0.0] * 4
     estimate = estimator.estimate(JointStates(0.0, [0.0, -2.0, 0.0, 4.0], zeros, zeros), [-4.0] * 4)

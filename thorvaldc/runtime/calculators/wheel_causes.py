@@ -47,8 +47,9 @@ the chi-square distribution with 3 degrees of freedom.
 
 Wheels that agree may still contradict their commands: all of them, or wheels that no other wheel
 confirms.  Hypotheses 3 and 4 are then added to the covariance, unless a load or a delay may explain
-the deviation: all wheels then read nearly the same share of their commands, between
-1 - ``_DOUBTFUL`` and 1 + ``_DOUBTFUL``.
+the deviation: other wheels confirm each wheel, and all read nearly the same share of their
+commands, between 1 - ``_DOUBTFUL`` and 1 + ``_DOUBTFUL``.  A push is no contradiction if all wheels
+turn, or if the wheels that stand would fail a test.
 
 Wheels do not see that all of them spin as commanded on a robot that is held, nor a wrong radius.
 """
@@ -219,8 +220,8 @@ class Contradiction(NamedTuple):
       the commands are unknown.
     - ``causes``: least number of causes that the encoders of N have, if they are wrong.
     - ``pushed``: number of wheels that turn, as others confirm, although they should stand.
-    - ``doubtful``: ``True`` if no load or delay explains the deviations, or no other wheel confirms
-      a wheel.
+    - ``doubtful``: ``True`` if no load, delay or push explains the deviations, or no other wheel
+      confirms a wheel that should turn.
     """
 
     wheels: tuple[int, ...]
@@ -246,7 +247,9 @@ def contradiction(
     shares: list[float] = []
     readings: list[float] = []
     pushed, doubtful, highest, lowest = 0, False, -math.inf, math.inf
-    for k in encoders(measurements):
+    untested = False
+    every = encoders(measurements)
+    for k in every:
         measured, command = turning[k]
         follows = abs(measured - command) <= following_error(command)
         share = measured / command if abs(command) > _COMMANDED_SPEED and not follows else 1.0
@@ -257,6 +260,7 @@ def contradiction(
         confirmed = rolling_leverage(fit, k) <= _UNCONFIRMED
         if abs(command) <= _COMMANDED_SPEED:
             pushed += confirmed
+            untested = untested or not (confirmed and measurements[k][0] & TEST_ROLL)
             continue
         doubtful = doubtful or not confirmed or abs(share - 1.0) > _DOUBTFUL
         if confirmed:
@@ -268,7 +272,8 @@ def contradiction(
         for m, (measured, command) in zip(measurements, turning, strict=True)
     ]
     causes = max(pushed + min(len(shares), len(readings)), 1)
-    doubtful = doubtful or highest - lowest > _COMMON_LAG
+    # A push turns all wheels.
+    doubtful = doubtful or highest - lowest > _COMMON_LAG or (untested and len(wheels) < len(every))
     return Contradiction(tuple(wheels), commands, causes, pushed, doubtful)
 
 
