@@ -513,10 +513,9 @@ def _parameters(estimator: TwistEstimator) -> tuple[object, ...]:
 
 # -- covariance of the twist for filters --------------------------------------------------------
 #
-# A filter such as robot_localization sums twists to a pose, and takes the errors of two twists as
-# independent.  After N twists with the covariance Q at the period T, its pose has the covariance
-# N T^2 Q.  The errors of a real twist last.  The published covariance is therefore larger, so that
-# the sum has the right covariance:
+# A filter such as robot_localization takes the errors of two twists as independent: after N twists
+# with the covariance Q at the period T, its pose has the covariance N T^2 Q.  The errors of a real
+# twist last.  The published covariance is therefore larger:
 #
 #     F = (1 + r (coth(T / 2 tau) - 1)) Q + (2 c t / T) sum of k_b k_b'
 #
@@ -546,15 +545,14 @@ def _parameters(estimator: TwistEstimator) -> tuple[object, ...]:
 _DRIVE_ERROR_SHARE: Final = 0.6
 """Share c of the growth of the variance by errors that last for the whole drive."""
 _LONGEST_DRIVE: Final = 60.0
-"""Time (s) of motion after which errors count no longer."""
+"""Time (s) of motion after which errors count no longer; time constant of undecided errors."""
 
 
 def sum_of_autocorrelation(tau: float, period: float) -> float:
     """Returns the sum over all lags of exp(-|lag| period / tau): by this factor, a filter that
     takes the errors of two measurements as independent needs a larger variance.
 
-    - ``tau``: time constant of the errors (s).
-    - ``period``: time between two measurements (s).
+    ``tau``: time constant of the errors (s); ``period``: time between two measurements (s).
     """
     return 1.0 / math.tanh(period / (2.0 * tau))
 
@@ -577,7 +575,9 @@ def filter_covariance(
     noise = estimator.noise
     # The odometry has the same rule for directions that no wheel measures.
     tau, share = LOW_RANK_CORRELATION, 1.0
-    if estimate.rank == 3:
+    if estimate.suspects or estimate.sliding:
+        tau = _LONGEST_DRIVE
+    elif estimate.rank == 3:
         tau = noise.correlation
         radius, _, offset = noise.lasting_errors
         rolling, direction = noise.rolling, noise.direction

@@ -18,7 +18,7 @@ from thorvaldc.runtime.calculators import BaseGeometry
 from thorvaldc.runtime.calculators.differential import Differential
 from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimator
-from thorvaldc.runtime.odometry import Odometry
+from thorvaldc.runtime.odometry import Odometry, filter_covariance
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.physics.sim_base import SimBase
 
@@ -213,6 +213,19 @@ def test_a_doubt_after_a_pause_does_not_count_for_the_pause() -> None:
     odometry.update(replace(with_speeds(states, {0: 0.0, 2: 0.0}), time=10.0), 10.0)
     assert odometry.estimate.suspects
     assert odometry.warnings == []
+
+
+@pytest.mark.parametrize("seconds", [2.0, 10.0, 60.0])
+def test_a_filter_is_not_sure_while_nothing_decides(seconds: float) -> None:
+    """A held robot with two spinning wheels: filters take the errors of twists as independent."""
+    calculator = General(BaseGeometry.from_wheels(THREE))
+    calculator.command(Twist(0.8, 0.0, 0.0))
+    states = with_speeds(joints(THREE, Twist(0.8, 0.0, 0.0)), {0: 0.0})
+    estimate = calculator.odometry(states)
+    period = 0.02
+    covariance = filter_covariance(calculator.estimator, states, estimate, period, seconds)
+    variance = covariance[0][0] * period * seconds  # N T^2 Q, of N = seconds / period twists
+    assert estimate.twist.vx * seconds <= 3.0 * math.sqrt(variance)
 
 
 class DyingEncoders(SimBase):
