@@ -575,7 +575,7 @@ def filter_covariance(
     noise = estimator.noise
     # The odometry has the same rule for directions that no wheel measures.
     tau, share = LOW_RANK_CORRELATION, 1.0
-    if estimate.suspects or estimate.sliding:
+    if estimate.sliding:  # wheels of a healthy robot are suspect by chance, but do not slide
         tau = _LONGEST_DRIVE
     elif estimate.rank == 3:
         tau = noise.correlation
