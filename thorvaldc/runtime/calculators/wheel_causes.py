@@ -47,8 +47,8 @@ the chi-square distribution with 3 degrees of freedom.
 
 Wheels that agree may still contradict their commands: all of them, or wheels that no other wheel
 confirms.  Hypotheses 3 and 4 are then added to the covariance, unless a load or a delay may explain
-the deviation: other wheels confirm each wheel, and all read nearly the same share of their
-commands, between 1 - ``_DOUBTFUL`` and 1 + ``_DOUBTFUL``.  A push is no contradiction if all wheels
+the deviation: all wheels read nearly the same share of their commands, between 1 - ``_DOUBTFUL``
+and 1 + ``_DOUBTFUL``; wheels that no other wheel confirms must read more nearly the same.  A push is no contradiction if all wheels
 turn, or if the wheels that stand would fail a test.
 
 Wheels do not see that all of them spin as commanded on a robot that is held, nor a wrong radius.
@@ -92,6 +92,8 @@ _DOUBTFUL: Final = 0.4
 """Deviation from the command, relative to the command, that no load or delay explains."""
 _COMMON_LAG: Final = 0.1
 """Largest difference of the shares of their commands that wheels with a common lag reach."""
+_COMMON_LAG_UNCONFIRMED: Final = 0.03
+"""The same for wheels whose speeds no other wheel confirms: the error goes unseen."""
 _EQUAL_SHARES: Final = 0.1
 """Largest difference between the shares of their commands that encoders with one cause read."""
 _EQUAL_READINGS: Final = 0.005
@@ -220,8 +222,7 @@ class Contradiction(NamedTuple):
       the commands are unknown.
     - ``causes``: least number of causes that the encoders of N have, if they are wrong.
     - ``pushed``: number of wheels that turn, as others confirm, although they should stand.
-    - ``doubtful``: ``True`` if no load, delay or push explains the deviations, or no other wheel
-      confirms a wheel that should turn.
+    - ``doubtful``: ``True`` if no load, delay or push explains the deviations.
     """
 
     wheels: tuple[int, ...]
@@ -247,6 +248,7 @@ def contradiction(
     shares: list[float] = []
     readings: list[float] = []
     pushed, doubtful, highest, lowest = 0, False, -math.inf, math.inf
+    common = _COMMON_LAG
     untested = False
     every = encoders(measurements)
     for k in every:
@@ -262,7 +264,9 @@ def contradiction(
             pushed += confirmed
             untested = untested or not (confirmed and measurements[k][0] & TEST_ROLL)
             continue
-        doubtful = doubtful or not confirmed or abs(share - 1.0) > _DOUBTFUL
+        doubtful = doubtful or abs(share - 1.0) > _DOUBTFUL
+        if not confirmed:
+            common = _COMMON_LAG_UNCONFIRMED
         if confirmed:
             _add_distinct(shares, share, _EQUAL_SHARES)
             _add_distinct(readings, measured, _EQUAL_READINGS)
@@ -273,7 +277,7 @@ def contradiction(
     ]
     causes = max(pushed + min(len(shares), len(readings)), 1)
     # A push turns all wheels.
-    doubtful = doubtful or highest - lowest > _COMMON_LAG or (untested and len(wheels) < len(every))
+    doubtful = doubtful or highest - lowest > common or (untested and len(wheels) < len(every))
     return Contradiction(tuple(wheels), commands, causes, pushed, doubtful)
 
 
