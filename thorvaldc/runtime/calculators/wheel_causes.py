@@ -26,7 +26,7 @@ N are the wheels that contradict their commands: |z - c| exceeds the error e(c) 
     commands.  Price ``_ONE_ENCODER`` for one wheel, if no load explains its deviation, and
     ``_ENCODERS`` for more, which then share a cause, such as a cable.  Encoders that read different
     shares of their commands share no cause: ``_OTHER_CAUSE`` for each further share.  If the other
-    wheels disagree, one more is wrong.
+    wheels disagree, one more is wrong.  Most wheels may deviate by a load or a delay instead.
 4.  The readings are right, and the wheels slide: the robot is held or pulled.  Price ``_SLIDING``.
     Its twist is the fit of all wheels with the standard deviation |1 - z / c| v / 2 of the wheel
     that deviates most, where v is the speed of the fastest wheel.  A held robot and one that moves
@@ -48,8 +48,8 @@ the chi-square distribution with 3 degrees of freedom.
 Wheels that agree may still contradict their commands: all of them, or wheels that no other wheel
 confirms.  Hypotheses 3 and 4 are then added to the covariance, unless a load or a delay may explain
 the deviation: all wheels read nearly the same share of their commands, between 1 - ``_DOUBTFUL``
-and 1 + ``_DOUBTFUL``; wheels that no other wheel confirms must read more nearly the same.  A push is no contradiction if all wheels
-turn, or if the wheels that stand would fail a test.
+and 1 + ``_DOUBTFUL``; wheels that no other wheel confirms must read more nearly the same.  A push
+is no contradiction if all wheels turn, or if the wheels that stand would fail a test.
 
 Wheels do not see that all of them spin as commanded on a robot that is held, nor a wrong radius.
 """
@@ -366,8 +366,14 @@ class CauseSearch:
         """Returns the hypothesis that the encoders of N are wrong, and perhaps one more."""
         wheels = self._against.wheels
         others = [k for k in encoders(measurements) if k not in wheels]
-        if not wheels or not (others or self._against.commands):
+        commands = self._against.commands
+        if not wheels or not (others or commands):
             return []
+        if len(wheels) > len(others) and commands:
+            # A load or a delay makes most wheels slower, each by its own share in a turn.
+            speeds = [(measurements[k][5], commands[k]) for k in wheels]
+            if all(abs(z - c) <= _DOUBTFUL * abs(c) for z, c in speeds):
+                return []
         alone = len(wheels) == 1 and self._against.doubtful
         price = _ONE_ENCODER if alone else _ENCODERS
         price += _OTHER_CAUSE * (self._against.causes - 1)
