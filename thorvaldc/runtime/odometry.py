@@ -9,7 +9,7 @@ from typing import Final
 
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates, NotFiniteError
-from thorvaldc.runtime.calculators import BaseCalculator
+from thorvaldc.runtime.calculators import BaseCalculator, WheelGeometry
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimate, TwistEstimator
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, ZERO_TWIST, Cov3, Pose2, Row3, Twist
 
@@ -64,7 +64,7 @@ class Odometry:
     @property
     def warnings(self) -> list[str]:
         """Warnings about wheels that the odometry leaves out or doubts, for an operator."""
-        return self._wheel_warnings.texts([w.name for w in self.calculator.geometry.wheels])
+        return self._wheel_warnings.texts(self.calculator.geometry.wheels)
 
     def reset(self, pose: Pose2 = ORIGIN) -> None:
         """Sets the pose of the odometry and resets its covariance to zero."""
@@ -203,47 +203,47 @@ class WheelWarnings:
         """Adds the estimate of a tick with joint states that were measured at ``time`` (s)."""
         named = estimate.dropped or estimate.suspects or estimate.sliding
         if named or self._dropped or self._suspects or self._sliding:
-            elapsed = max(time - self._time, 0.0)
+            elapsed = min(max(time - self._time, 0.0), LONGEST_INTERVAL)
             gain = elapsed / (_TIME_CONSTANT + elapsed)
             _update(self._dropped, estimate.dropped, gain)
             _update(self._suspects, estimate.suspects, gain)
             _update(self._sliding, estimate.sliding, gain)
         self._time = time
 
-    def texts(self, names: Sequence[str]) -> list[str]:
-        """Returns the present warnings for an operator; ``names``: names of all wheels."""
+    def texts(self, wheels: Sequence[WheelGeometry]) -> list[str]:
+        """Returns the present warnings for an operator; ``wheels``: all wheels of the robot."""
         warnings = []
         if dropped := _lasting(self._dropped):
             warnings.append(
-                f"odometry: left out {_listed(dropped, names)}: the speed or direction disagrees"
+                f"odometry: left out {_listed(dropped, wheels)}: the speed or direction disagrees"
                 " with the other wheels or with the command; check the encoders"
             )
         suspects = [i for i in _lasting(self._suspects) if i not in dropped]
         sliding = [i for i in _lasting(self._sliding) if i not in dropped]
-        if suspects and (not sliding or len(suspects) == len(names) == len(sliding)):
+        others = [i for i in suspects if i not in sliding and wheels[i].encoder]
+        if sliding and others:
+            are = "turns as commanded" if len(sliding) == 1 else "turn as commanded"
+            do = "does not" if len(others) == 1 else "do not"
             warnings.append(
-                f"odometry: the encoders of {_listed(suspects, names)} may be wrong, or the wheels"
-                " do not follow their commands; the covariance covers both cases"
+                f"odometry: stuck, or encoders dead? {_listed(sliding, wheels)} {are}, and"
+                f" {_listed(others, wheels)} {do}: look whether the robot moves. If it moves, check"
+                " the encoders; the covariance covers both cases"
             )
-        elif len(sliding) == len(names):
+        elif suspects:
+            warnings.append(
+                f"odometry: the measured speed or direction of {_listed(suspects, wheels)} may be"
+                " wrong, or the robot does not move as commanded; the covariance covers both cases"
+            )
+        elif sliding:
             warnings.append(
                 "odometry: the wheels slide, the robot is held or pulled, and its motion is"
                 " unknown; look whether it moves"
             )
-        elif sliding:
-            others = [i for i in suspects if i not in sliding] or suspects
-            are = "turns as commanded" if len(sliding) == 1 else "turn as commanded"
-            do = "does not" if len(others) == 1 else "do not"
-            warnings.append(
-                f"odometry: stuck, or encoders dead? {_listed(sliding, names)} {are}, and"
-                f" {_listed(others, names) or 'the gyro'} {do}: look whether the robot moves. If it"
-                " moves, check the encoders; the covariance covers both cases"
-            )
         return warnings
 
 
-def _listed(wheels: Sequence[int], names: Sequence[str]) -> str:
-    return ", ".join(names[i] for i in wheels)
+def _listed(numbers: Sequence[int], wheels: Sequence[WheelGeometry]) -> str:
+    return ", ".join(wheels[i].name for i in numbers)
 
 
 def _update(shares: dict[int, float], wheels: Collection[int], gain: float) -> None:
@@ -513,10 +513,9 @@ def _parameters(estimator: TwistEstimator) -> tuple[object, ...]:
 
 # -- covariance of the twist for filters --------------------------------------------------------
 #
-# A filter such as robot_localization sums twists to a pose, and takes the errors of two twists as
-# independent.  After N twists with the covariance Q at the period T, its pose has the covariance
-# N T^2 Q.  The errors of a real twist last.  The published covariance is therefore larger, so that
-# the sum has the right covariance:
+# A filter such as robot_localization takes the errors of two twists as independent: after N twists
+# with the covariance Q at the period T, its pose has the covariance N T^2 Q.  The errors of a real
+# twist last.  The published covariance is therefore larger:
 #
 #     F = (1 + r (coth(T / 2 tau) - 1)) Q + (2 c t / T) sum of k_b k_b'
 #
@@ -546,15 +545,14 @@ def _parameters(estimator: TwistEstimator) -> tuple[object, ...]:
 _DRIVE_ERROR_SHARE: Final = 0.6
 """Share c of the growth of the variance by errors that last for the whole drive."""
 _LONGEST_DRIVE: Final = 60.0
-"""Time (s) of motion after which errors count no longer."""
+"""Time (s) of motion after which errors count no longer; time constant of undecided errors."""
 
 
 def sum_of_autocorrelation(tau: float, period: float) -> float:
     """Returns the sum over all lags of exp(-|lag| period / tau): by this factor, a filter that
     takes the errors of two measurements as independent needs a larger variance.
 
-    - ``tau``: time constant of the errors (s).
-    - ``period``: time between two measurements (s).
+    ``tau``: time constant of the errors (s); ``period``: time between two measurements (s).
     """
     return 1.0 / math.tanh(period / (2.0 * tau))
 
@@ -577,7 +575,9 @@ def filter_covariance(
     noise = estimator.noise
     # The odometry has the same rule for directions that no wheel measures.
     tau, share = LOW_RANK_CORRELATION, 1.0
-    if estimate.rank == 3:
+    if estimate.sliding:  # wheels of a healthy robot are suspect by chance, but do not slide
+        tau = _LONGEST_DRIVE
+    elif estimate.rank == 3:
         tau = noise.correlation
         radius, _, offset = noise.lasting_errors
         rolling, direction = noise.rolling, noise.direction

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from bench.faulty_encoders import FAULTS, SPINNING, robots, study
@@ -17,12 +18,13 @@ from thorvaldc.runtime.calculators import BaseGeometry
 from thorvaldc.runtime.calculators.differential import Differential
 from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimator
-from thorvaldc.runtime.odometry import Odometry
+from thorvaldc.runtime.odometry import Odometry, filter_covariance
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.physics.sim_base import SimBase
 
 ROBOTS = robots()
 THREE = list(ROBOTS["3 steered"].wheels)
+SKID_STEERED = [(0.5, 0.4), (0.5, -0.4), (-0.5, 0.4), (-0.5, -0.4)]
 
 
 def with_speeds(states: JointStates, speeds: dict[int, float]) -> JointStates:
@@ -101,6 +103,23 @@ def test_a_robot_that_is_pushed_is_not_suspect() -> None:
     assert estimator.estimate(states, [0.0] * 4) == estimator.estimate(states)
 
 
+@pytest.mark.parametrize("places", [[(0.0, 0.4), (0.0, -0.4)], SKID_STEERED], ids=["two", "skid"])
+def test_a_wheel_that_stands_while_the_robot_is_pushed_is_doubted(
+    places: list[tuple[float, float]],
+) -> None:
+    """Its encoder is dead.  No other wheel confirms it, or wheels that skid are not tested."""
+    wheels = [wheel(f"w{i}", x, y, "fixed") for i, (x, y) in enumerate(places)]
+    estimator = TwistEstimator(BaseGeometry.from_wheels(wheels))
+    zeros = [0.0] * len(wheels)
+    pushed = JointStates(0.0, [2.0] * len(wheels), zeros, zeros)
+    assert estimator.estimate(pushed, zeros) == estimator.estimate(pushed)
+    for dead in range(1, len(wheels)):
+        estimate = estimator.estimate(with_speeds(pushed, dict.fromkeys(range(dead), 0.0)), zeros)
+        error = np.array(estimate.twist) - (0.4, 0.0, 0.0)
+        assert error @ np.linalg.solve(np.array(estimate.covariance), error) <= 16.27
+        assert estimate.suspects
+
+
 def test_closed_form_of_two_wheels_compares_them_with_their_commands() -> None:
     wheels = [wheel("left", 0.0, 0.4, "fixed"), wheel("right", 0.0, -0.4, "fixed")]
     calculator = Differential(BaseGeometry.from_wheels(wheels))
@@ -110,6 +129,53 @@ def test_closed_form_of_two_wheels_compares_them_with_their_commands() -> None:
     estimate = calculator.odometry(with_speeds(states, {0: 0.0}))
     assert (estimate.suspects, estimate.sliding) == ((0,), (1,))
     assert 0.4 <= math.sqrt(estimate.covariance[2][2]) <= 1.5
+
+
+def test_wheels_that_skid_may_disagree_by_any_amount() -> None:
+    """They are not tested, so that their fit may be much less likely than the other causes."""
+    wheels = [wheel(f"w{i}", x, y, "fixed") for i, (x, y) in enumerate(SKID_STEERED)]
+    estimator = TwistEstimator(BaseGeometry.from_wheels(wheels))
+    zeros = [0.0] * 4
+    estimate = estimator.estimate(JointStates(0.0, [0.0, -2.0, 0.0, 4.0], zeros, zeros), [-4.0] * 4)
+    assert estimate.suspects
+    assert estimate.twist.vx - 2.5 * math.sqrt(estimate.covariance[0][0]) <= -0.8
+
+
+@pytest.mark.parametrize("angle", [0.0, 2.57])
+def test_a_wheel_that_the_others_need_is_not_left_out(angle: float) -> None:
+    """Without the steered wheel, two fixed wheels of different axles determine no twist."""
+    wheels = [wheel("a", 0.0, -0.37, "steered"), wheel("b", 0.0, 0.92, "passive")]
+    wheels.append(wheel("c", 0.5, -0.33, "fixed"))
+    estimator = TwistEstimator(BaseGeometry.from_wheels(wheels))
+    states = JointStates(0.0, [0.0, 0.0, 1.1], [angle, 0.0, 0.0], [0.0] * 3)
+    estimate = estimator.estimate(states, [1.1, 0.0, 1.1])
+    assert min(np.linalg.eigvalsh(estimate.covariance)) > 0.0
+
+
+@pytest.mark.parametrize("others", [0.0, 3.0])
+def test_a_reading_that_no_wheel_can_reach_is_left_out(others: float) -> None:
+    """Such as the jump of a counter: the robot is not doubted to move with 600 m/s."""
+    estimator = TwistEstimator(BaseGeometry.from_wheels(FOUR))
+    states = JointStates(0.0, [3000.0, others, others, others], [0.0] * 4, [0.0] * 4)
+    estimate = estimator.estimate(states, [others] * 4)
+    assert estimate.dropped == (0,)
+    assert estimate.twist == pytest.approx((0.2 * others, 0.0, 0.0), abs=1e-3)
+    assert math.sqrt(estimate.covariance[0][0]) <= 0.01
+
+
+@pytest.mark.parametrize("gyro", [None, 0.0])
+def test_warnings_do_not_say_that_a_wheel_turns_and_does_not(gyro: float | None) -> None:
+    wheels = [wheel("left", 0.0, 0.4, "fixed"), wheel("right", 0.0, -0.4, "fixed")]
+    wheels.append(wheel("caster", 0.6, 0.0, "swivel", trail=0.1))
+    calculator = Differential(BaseGeometry.from_wheels(wheels))
+    speeds = calculator.command(Twist(0.6, 0.0, 0.5 if gyro == 0.0 else 0.0)).joints.speeds
+    odometry = Odometry(calculator, (1.5, 1.0))
+    for tick in range(150):
+        measured = [0.0] * 3 if gyro is None else [*speeds]
+        states = JointStates(0.02 * tick, measured, [0.0] * 3, [0.0] * 3, yaw_rate=gyro)
+        odometry.update(states, states.time)
+    (warning,) = odometry.warnings
+    assert "left, right may be wrong, or the robot does not move as commanded" in warning
 
 
 def test_odometry_warns_of_lasting_faults_only() -> None:
@@ -136,6 +202,30 @@ def test_odometry_warns_of_lasting_faults_only() -> None:
     assert warnings_after(120, {}) == []
     (dropped,) = warnings_after(90, {0: 12.0})
     assert "left out w0" in dropped
+
+
+def test_a_doubt_after_a_pause_does_not_count_for_the_pause() -> None:
+    calculator = General(BaseGeometry.from_wheels(THREE))
+    states = joints(THREE, Twist(0.8, 0.0, 0.0))
+    calculator.command(Twist(0.8, 0.0, 0.0))
+    odometry = Odometry(calculator, (1.5, 1.0))
+    odometry.update(states, 0.0)
+    odometry.update(replace(with_speeds(states, {0: 0.0, 2: 0.0}), time=10.0), 10.0)
+    assert odometry.estimate.suspects
+    assert odometry.warnings == []
+
+
+@pytest.mark.parametrize("seconds", [2.0, 10.0, 60.0])
+def test_a_filter_is_not_sure_while_nothing_decides(seconds: float) -> None:
+    """A held robot with two spinning wheels: filters take the errors of twists as independent."""
+    calculator = General(BaseGeometry.from_wheels(THREE))
+    calculator.command(Twist(0.8, 0.0, 0.0))
+    states = with_speeds(joints(THREE, Twist(0.8, 0.0, 0.0)), {0: 0.0})
+    estimate = calculator.odometry(states)
+    period = 0.02
+    covariance = filter_covariance(calculator.estimator, states, estimate, period, seconds)
+    variance = covariance[0][0] * period * seconds  # N T^2 Q, of N = seconds / period twists
+    assert estimate.twist.vx * seconds <= 3.0 * math.sqrt(variance)
 
 
 class DyingEncoders(SimBase):

@@ -472,7 +472,7 @@ class TwistEstimator:
         (_, q22, q23), _ = columns[1]
         return (q11, q12, q13, q22, q23, columns[2][0][2]), rank
 
-    # -- rejection and result -----------------------------------------------------------
+    # -- mixture and result --------------------------------------------------------------
 
     def _mixture(
         self,

@@ -26,11 +26,12 @@ N are the wheels that contradict their commands: |z - c| exceeds the error e(c) 
     commands.  Price ``_ONE_ENCODER`` for one wheel, if no load explains its deviation, and
     ``_ENCODERS`` for more, which then share a cause, such as a cable.  Encoders that read different
     shares of their commands share no cause: ``_OTHER_CAUSE`` for each further share.  If the other
-    wheels disagree, one more is wrong.
+    wheels disagree, one more is wrong.  Most wheels may deviate by a load or a delay instead.
 4.  The readings are right, and the wheels slide: the robot is held or pulled.  Price ``_SLIDING``.
     Its twist is the fit of all wheels with the standard deviation |1 - z / c| v / 2 of the wheel
     that deviates most, where v is the speed of the fastest wheel.  A held robot and one that moves
-    as commanded then lie within two standard deviations.
+    as commanded then lie within two standard deviations.  A reading above ``_IMPOSSIBLE`` times the
+    top speed is wrong here too.
 
 A motor that turns as commanded says nothing about the ground.  If three wheels of four turn as
 commanded and one stands, its encoder is dead (3), or the robot stands and three wheels spin (4).
@@ -46,8 +47,9 @@ the chi-square distribution with 3 degrees of freedom.
 
 Wheels that agree may still contradict their commands: all of them, or wheels that no other wheel
 confirms.  Hypotheses 3 and 4 are then added to the covariance, unless a load or a delay may explain
-the deviation: all wheels then read nearly the same share of their commands, between
-1 - ``_DOUBTFUL`` and 1 + ``_DOUBTFUL``.
+the deviation: all wheels read nearly the same share of their commands, between 1 - ``_DOUBTFUL``
+and 1 + ``_DOUBTFUL``; wheels that no other wheel confirms must read more nearly the same.  A push
+is no contradiction if all wheels turn, or if the wheels that stand would fail a test.
 
 Wheels do not see that all of them spin as commanded on a robot that is held, nor a wrong radius.
 """
@@ -90,6 +92,8 @@ _DOUBTFUL: Final = 0.4
 """Deviation from the command, relative to the command, that no load or delay explains."""
 _COMMON_LAG: Final = 0.1
 """Largest difference of the shares of their commands that wheels with a common lag reach."""
+_COMMON_LAG_UNCONFIRMED: Final = 0.03
+"""The same for wheels whose speeds no other wheel confirms: the error goes unseen."""
 _EQUAL_SHARES: Final = 0.1
 """Largest difference between the shares of their commands that encoders with one cause read."""
 _EQUAL_READINGS: Final = 0.005
@@ -105,7 +109,8 @@ It is added to half of the wheels' speed.
 """
 _SLIDING_SHARE: Final = 0.6
 """Standard deviation of the speed of a robot that slides for certain, relative to its wheels."""
-
+_IMPOSSIBLE: Final = 2.0
+"""Multiple of the top speed above which a reading is wrong: sliding does not explain it."""
 _HELD_YAW_RATE: Final = 0.02
 """Standard deviation (rad/s) of the yaw rate of a robot that is held."""
 
@@ -158,12 +163,15 @@ class Fits(NamedTuple):
             previous = fit_twist(measurements, vx, vy, wz, self.squares, self.prior, self.yaw_rate)
         return previous
 
-    def anew(self, measurements: list[Measurement]) -> Fit:
+    def anew(self, measurements: list[Measurement]) -> Fit | None:
         """Fits with weights from the unweighted fit of the same measurements.
 
-        The weights of the healthy wheels are then independent of the faulty wheels.
+        The weights of the healthy wheels are then independent of the faulty wheels.  Returns
+        ``None`` if the measurements and the prior do not determine the twist.
         """
-        (vx, vy, wz), _ = self.solve(unweighted_normal_equations(measurements), self.yaw_rate)
+        (vx, vy, wz), rank = self.solve(unweighted_normal_equations(measurements), self.yaw_rate)
+        if rank < 3 and not self.prior[0]:
+            return None
         first = fit_twist(measurements, vx, vy, wz, self.squares, self.prior, self.yaw_rate)
         return self.refit(measurements, first)
 
@@ -214,8 +222,7 @@ class Contradiction(NamedTuple):
       the commands are unknown.
     - ``causes``: least number of causes that the encoders of N have, if they are wrong.
     - ``pushed``: number of wheels that turn, as others confirm, although they should stand.
-    - ``doubtful``: ``True`` if no load or delay explains the deviations, or no other wheel confirms
-      a wheel.
+    - ``doubtful``: ``True`` if no load, delay or push explains the deviations.
     """
 
     wheels: tuple[int, ...]
@@ -241,7 +248,10 @@ def contradiction(
     shares: list[float] = []
     readings: list[float] = []
     pushed, doubtful, highest, lowest = 0, False, -math.inf, math.inf
-    for k in encoders(measurements):
+    common = _COMMON_LAG
+    untested = False
+    every = encoders(measurements)
+    for k in every:
         measured, command = turning[k]
         follows = abs(measured - command) <= following_error(command)
         share = measured / command if abs(command) > _COMMANDED_SPEED and not follows else 1.0
@@ -252,8 +262,11 @@ def contradiction(
         confirmed = rolling_leverage(fit, k) <= _UNCONFIRMED
         if abs(command) <= _COMMANDED_SPEED:
             pushed += confirmed
+            untested = untested or not (confirmed and measurements[k][0] & TEST_ROLL)
             continue
-        doubtful = doubtful or not confirmed or abs(share - 1.0) > _DOUBTFUL
+        doubtful = doubtful or abs(share - 1.0) > _DOUBTFUL
+        if not confirmed:
+            common = _COMMON_LAG_UNCONFIRMED
         if confirmed:
             _add_distinct(shares, share, _EQUAL_SHARES)
             _add_distinct(readings, measured, _EQUAL_READINGS)
@@ -263,7 +276,8 @@ def contradiction(
         for m, (measured, command) in zip(measurements, turning, strict=True)
     ]
     causes = max(pushed + min(len(shares), len(readings)), 1)
-    doubtful = doubtful or highest - lowest > _COMMON_LAG
+    # A push turns all wheels.
+    doubtful = doubtful or highest - lowest > common or (untested and len(wheels) < len(every))
     return Contradiction(tuple(wheels), commands, causes, pushed, doubtful)
 
 
@@ -313,7 +327,8 @@ class CauseSearch:
         encoders_wrong = self._wrong_encoders(measurements)
         hypotheses = [healthy, *encoders_wrong]
         turns_otherwise = self._gyro_slip(measurements) > 0.0
-        may_slide = self._against.wheels or turns_otherwise
+        impossible = self._impossible(measurements)
+        may_slide = turns_otherwise or any(k not in impossible for k in self._against.wheels)
         if not disagree:
             # The agreement of wheels that contradict their commands proves nothing.
             return [*hypotheses, self.sliding(measurements, fit)] if may_slide else hypotheses
@@ -328,9 +343,8 @@ class CauseSearch:
                 hypotheses += self._one_more_wrong(single, known, visited)
         if may_slide:
             sliding = self.sliding(measurements, fit)
-            if (
-                turns_otherwise
-            ):  # two wheels and a gyro agree by accident: one of them explains both
+            if turns_otherwise:
+                # Two wheels and a gyro agree by accident: one of them explains both.
                 most = min(h.cost for h in hypotheses) + _LEAST_LIKELY
                 sliding = sliding._replace(cost=min(sliding.cost, most))
             hypotheses.append(sliding)
@@ -352,8 +366,14 @@ class CauseSearch:
         """Returns the hypothesis that the encoders of N are wrong, and perhaps one more."""
         wheels = self._against.wheels
         others = [k for k in encoders(measurements) if k not in wheels]
-        if not wheels or not (others or self._against.commands):
+        commands = self._against.commands
+        if not wheels or not (others or commands):
             return []
+        if len(wheels) > len(others) and commands:
+            # A load or a delay makes most wheels slower, each by its own share in a turn.
+            speeds = [(measurements[k][5], commands[k]) for k in wheels]
+            if all(abs(z - c) <= _DOUBTFUL * abs(c) for z, c in speeds):
+                return []
         alone = len(wheels) == 1 and self._against.doubtful
         price = _ONE_ENCODER if alone else _ENCODERS
         price += _OTHER_CAUSE * (self._against.causes - 1)
@@ -385,6 +405,10 @@ class CauseSearch:
         """
         every, wheels = encoders(measurements), self._against.wheels
         commands = self._against.commands
+        if impossible := self._impossible(measurements):
+            fit = self._fits.with_speeds(measurements, impossible, commands)[0]
+            every = tuple(k for k in every if k not in impossible)
+            wheels = tuple(k for k in wheels if k not in impossible)
         fastest = max([*(abs(measurements[k][5]) for k in every), *map(abs, commands)], default=0.0)
         sigma, against_motor = 0.0, False
         for k in wheels:
@@ -411,6 +435,10 @@ class CauseSearch:
         slid = Fit(vx, vy, wz, variance, 0.0, 0.0, variance, 0.0, angular, rest)
         others = tuple(k for k in every if k not in wheels)
         return Hypothesis((), others or every, slid, cost + gyro_misfit, 0.0, slid, measurements)
+
+    def _impossible(self, measurements: list[Measurement]) -> list[int]:
+        limit = _IMPOSSIBLE / math.sqrt(self._fits.weak_prior[0])
+        return [k for k in encoders(measurements) if abs(measurements[k][5]) > limit]
 
     def all_encoders_wrong(self, measurements: list[Measurement]) -> Fit:
         """Fits where all encoders are wrong, and all wheels follow their commands."""
@@ -470,7 +498,9 @@ class CauseSearch:
             remaining = [
                 with_use(m, 0) if j in wrong else m for j, m in enumerate(hypothesis.measurements)
             ]
-            extended.append(self._wrong_wheels(wrong, remaining, self._fits.anew(remaining)))
+            fit = self._fits.anew(remaining)
+            if fit is not None:
+                extended.append(self._wrong_wheels(wrong, remaining, fit))
         return extended
 
     def _wrong_wheels(

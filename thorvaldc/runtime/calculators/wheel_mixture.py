@@ -60,15 +60,18 @@ class Mixture(NamedTuple):
 
 
 def mixture(hypotheses: Sequence[Hypothesis], *, as_measured: bool) -> Mixture:
-    """Returns the mixture of the hypotheses, of which the first is the most likely.
+    """Returns the mixture of the hypotheses.
 
-    ``as_measured``: ``True`` if the wheels agree, so that the mean is the first fit.
+    - ``hypotheses``: the most likely first, or, with ``as_measured``, that all wheels are healthy.
+    - ``as_measured``: ``True`` if the wheels agree, so that the mean is the first fit.
 
     With the probabilities p_i, means xi_i and covariances P_i of the hypotheses, the mixture has
     the mean xi = sum p_i xi_i and the covariance of ``covering``.
     """
     best = hypotheses[0]
-    weights = [math.exp((best.cost - h.cost) / 2.0) for h in hypotheses]
+    # The first fit of wheels that are not tested, because they skid, may have a large misfit.
+    least = min(h.cost for h in hypotheses)
+    weights = [math.exp((least - h.cost) / 2.0) for h in hypotheses]
     total = float_sum(weights)
     probabilities = [weight / total for weight in weights]
     fits = [h.fit for h in hypotheses]
