@@ -28,7 +28,7 @@ from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import CheckedJointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.general import General
-from thorvaldc.runtime.odometry import filter_covariance
+from thorvaldc.runtime.filter_covariance import filter_covariance
 from thorvaldc.runtime.se2 import ORIGIN, Twist
 
 GROUP = "long"

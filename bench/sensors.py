@@ -32,7 +32,7 @@ from thorvaldc.model import Robot
 from thorvaldc.model.scenario import Noise as Errors
 from thorvaldc.model.scenario import SensorSettings
 from thorvaldc.model.sensor_numbers import WORLD_ORIGIN
-from thorvaldc.runtime.odometry import filter_covariance
+from thorvaldc.runtime.filter_covariance import filter_covariance
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.control_loop import ControlLoop, Segment
 from thorvaldc.simulation.physics.sim_base import WheelErrors

@@ -47,6 +47,7 @@ RUNTIME_MODULES = (
     "runtime/calculators/general",
     "runtime/calculators/differential",
     "runtime/twist_ramp",
+    "runtime/filter_covariance",
     "runtime/odometry",
     "runtime/permission",
     "runtime/multiplexer",

@@ -14,7 +14,9 @@ from thorvaldc.model.settings import FOR_FILTERS, MEASURED
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.general import General
-from thorvaldc.runtime.odometry import Odometry, filter_covariance
+from thorvaldc.runtime.filter_covariance import filter_covariance
+from thorvaldc.runtime.odometry import Odometry
+from thorvaldc.runtime.se2 import Twist
 
 PERIOD = 0.02
 WHITE = Noise(correlation=0.0, radius_error=0.0, steering_offset_error=0.0)
@@ -80,6 +82,18 @@ def test_only_motion_counts_as_time_of_lasting_errors() -> None:
         speed = 5.0 if 100 <= k < 200 else 0.0
         odometry.update(CheckedJointStates(0.02 * k, [speed] * 4, [0.0] * 4, [0.0] * 4), 0.02 * k)
     assert odometry.motion_time == pytest.approx(2.0, abs=0.05)
+
+
+@pytest.mark.parametrize("seconds", [2.0, 10.0, 60.0])
+def test_a_filter_is_not_sure_while_nothing_decides(seconds: float) -> None:
+    """A held robot with three spinning wheels of four."""
+    calculator = General(BaseGeometry.from_robot(example_robot("4wd4ws_wide")))
+    speeds = calculator.command(Twist(0.8, 0.0, 0.0)).joints.speeds
+    joints = JointStates(0.0, [0.0, *speeds[1:]], [0.0] * 4, [0.0] * 4)
+    estimate = calculator.odometry(joints)
+    published = filter_covariance(calculator.estimator, joints, estimate, PERIOD, seconds)
+    variance = published[0][0] * PERIOD * seconds  # N T^2 Q, of N = seconds / period twists
+    assert estimate.twist.vx * seconds <= 3.0 * math.sqrt(variance)
 
 
 def test_before_the_first_joint_states_the_covariance_is_that_of_the_estimate() -> None:

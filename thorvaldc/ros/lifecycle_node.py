@@ -44,7 +44,7 @@ from thorvaldc.ros.topic_base import TopicBase, robot_behind_topics
 from thorvaldc.ros.topic_twists import ClockWatch, TwistInputs
 from thorvaldc.runtime.can_base.battery_and_io_drivers import SUPPLY
 from thorvaldc.runtime.driven_robot import DrivenRobot
-from thorvaldc.runtime.odometry import filter_covariance
+from thorvaldc.runtime.filter_covariance import filter_covariance
 from thorvaldc.runtime.run_session import UNTESTED
 from thorvaldc.runtime.service_table import ServiceError
 
@@ -499,10 +499,8 @@ class BaseDriverNode(GuardedLifecycleNode):
         covariance = state.odometry.covariance
         if values["twist_covariance"] == FOR_FILTERS:
             driver, period = robot.driver, 1.0 / values["rate"]
-            covariance = filter_covariance(
-                *(driver.calculator.estimator, state.joints, state.odometry, period),
-                driver.odometry.motion_time,
-            )
+            estimator, moved = driver.calculator.estimator, driver.odometry.motion_time
+            covariance = filter_covariance(estimator, state.joints, state.odometry, period, moved)
         self._odometry.publish(messages.odometry_message(state, covariance, stamp, *frames))
         if self._tf is not None and values["enable_odom_tf"]:
             transform = messages.transform_message(state, stamp, *frames)

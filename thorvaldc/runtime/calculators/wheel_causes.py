@@ -41,9 +41,9 @@ a push turns all of them at once, but several stuck encoders agree by accident o
 commands, N are the wheels that stand while others turn.
 
 The likely hypotheses are combined as a mixture of normal distributions.  In the covariance, each
-has at least the weight w = ``_LEAST_WEIGHT``.  If a hypothesis at the distance d from the mean is
-true, the squared error d' (w d d' + ...)^-1 d is at most 1 / w, below the 99.9 % quantile 16.3 of
-the chi-square distribution with 3 degrees of freedom.
+has at least the weight w = ``_LEAST_WEIGHT``, or ``_LEAST_WEIGHT_WRONG`` for hypothesis 2.  If a
+hypothesis at the distance d from the mean is true, the squared error d' (w d d' + ...)^-1 d is at
+most 1 / w, below the 99.9 % quantile 16.3 of the chi-square distribution with 3 degrees of freedom.
 
 Wheels that agree may still contradict their commands: all of them, or wheels that no other wheel
 confirms.  Hypotheses 3 and 4 are then added to the covariance, unless a load or a delay may explain
@@ -115,11 +115,15 @@ _HELD_YAW_RATE: Final = 0.02
 """Standard deviation (rad/s) of the yaw rate of a robot that is held."""
 
 _ONE_ENCODER: Final = 5.0
+"""Price of one wrong encoder, the most frequent of the causes here."""
 _ENCODERS: Final = 10.0
+"""Price of wrong encoders with one cause, and of one whose deviation a load may explain."""
 _OTHER_CAUSE: Final = 5.0
+"""Price of each further cause of wrong encoders, and of each further wheel that a push explains."""
 _SLIDING: Final = 9.0
+"""Price of wheels that slide: as likely as encoders that are wrong together."""
 _AGAINST_MOTOR: Final = 5.0
-"""Price of wheels that the ground turns backwards or faster than their motors should."""
+"""Further price of wheels that the ground turns backwards or faster than their motors should."""
 _CREDIBLE: Final = 6.63
 """The fit still uses one of the two measurements of a wrong wheel up to this chi-square.
 
@@ -127,8 +131,10 @@ The number is the 1 % quantile of the chi-square distribution with 1 degree of f
 """
 _NEGLIGIBLE: Final = 9.2
 """A hypothesis has a weight below 1 % if its cost exceeds the smallest cost by this difference."""
-_LEAST_LIKELY: Final = 9.0
-"""Largest difference at which a hypothesis counts for certain."""
+_LEAST_WEIGHT: Final = 0.25
+"""Least weight of a likely hypothesis in the covariance: the truth is within 2 sigma."""
+_LEAST_WEIGHT_WRONG: Final = 0.1
+"""The same for wrong wheels, within 3.2 sigma: healthy wheels exceed their gates by chance."""
 _PAIR_SEEDS: Final = 3
 """Number of the most likely single wrong wheels that the search extends to pairs of wheels."""
 
@@ -265,11 +271,11 @@ def contradiction(
             untested = untested or not (confirmed and measurements[k][0] & TEST_ROLL)
             continue
         doubtful = doubtful or abs(share - 1.0) > _DOUBTFUL
-        if not confirmed:
-            common = _COMMON_LAG_UNCONFIRMED
         if confirmed:
             _add_distinct(shares, share, _EQUAL_SHARES)
             _add_distinct(readings, measured, _EQUAL_READINGS)
+        else:
+            common = _COMMON_LAG_UNCONFIRMED
     commands = [
         # The contact of a wheel beside its steering axis also moves with the steering joint.
         m[5] + command - measured
@@ -344,15 +350,15 @@ class CauseSearch:
         if may_slide:
             sliding = self.sliding(measurements, fit)
             if turns_otherwise:
-                # Two wheels and a gyro agree by accident: one of them explains both.
-                most = min(h.cost for h in hypotheses) + _LEAST_LIKELY
+                # Wrong wheels explain by accident that few wheels and a gyro disagree.
+                most = min(h.cost for h in hypotheses) + _NEGLIGIBLE
                 sliding = sliding._replace(cost=min(sliding.cost, most))
             hypotheses.append(sliding)
         hypotheses.sort(key=_cost)
         best = hypotheses[0]
         if best.worst_ratio > 2.0:  # twice the gate has about the square of the gate's probability
             return []
-        likely = [h for h in hypotheses if h.cost - best.cost < _NEGLIGIBLE]
+        likely = [h for h in hypotheses if h.cost <= best.cost + _NEGLIGIBLE]
         every = encoders(measurements)
         if self._against.commands and any(2 * len(h.wrong) >= len(every) for h in likely):
             # Nothing confirms the encoders of a minority: the errors of all may be small.
@@ -391,7 +397,9 @@ class CauseSearch:
         if ratio <= 1.0:
             # Dead encoders and wheels that stand have no noise: a smaller misfit is no evidence.
             disagreement = self._fits.gyro_misfit(fit)
-        return Hypothesis(wheels, (), fit, disagreement + price, ratio, fit, measurements)
+        return Hypothesis(
+            wheels, (), fit, disagreement + price, ratio, _LEAST_WEIGHT, fit, measurements
+        )
 
     # -- hypothesis 4 -------------------------------------------------------------------
 
@@ -434,7 +442,9 @@ class CauseSearch:
         vx, vy, rest = share * fit.vx, share * fit.vy, fit.measurements
         slid = Fit(vx, vy, wz, variance, 0.0, 0.0, variance, 0.0, angular, rest)
         others = tuple(k for k in every if k not in wheels)
-        return Hypothesis((), others or every, slid, cost + gyro_misfit, 0.0, slid, measurements)
+        return Hypothesis(
+            (), others or every, slid, cost + gyro_misfit, 0.0, _LEAST_WEIGHT, slid, measurements
+        )
 
     def _impossible(self, measurements: list[Measurement]) -> list[int]:
         limit = _IMPOSSIBLE / math.sqrt(self._fits.weak_prior[0])
@@ -527,7 +537,8 @@ class CauseSearch:
                 row = USE_ROLL if comparison.roll == smaller else USE_SIDE
                 measurements[k] = with_use(measurements[k], row)
                 current = self._fits.refit(measurements, current)
-        return Hypothesis(wrong, (), current, cost, ratio, fit, measurements)
+        least = _LEAST_WEIGHT_WRONG if wrong else _LEAST_WEIGHT
+        return Hypothesis(wrong, (), current, cost, ratio, least, fit, measurements)
 
     def _worst_ratio(self, fit: Fit, others: Sequence[int]) -> float:
         ratios = [0.0]

@@ -12,10 +12,6 @@ from typing import Final, NamedTuple
 from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.calculators.twist_fit import Fit, Measurement
 
-_LEAST_WEIGHT: Final = 0.25
-"""Least weight of a likely hypothesis in the covariance: the truth is within 2 sigma."""
-_LEAST_WRONG: Final = 0.1
-"""The same for wrong wheels, which are frequent: healthy wheels exceed their gates by chance."""
 _MIN_PROBABILITY: Final = 0.6
 """Least probability at which a single wrong wheel is named: it exceeds all others clearly."""
 _SURE: Final = 0.97
@@ -31,6 +27,7 @@ class Hypothesis(NamedTuple):
     - ``cost``: cost, by the formula in the documentation of the module ``wheel_causes``.
     - ``worst_ratio``: largest quotient of chi-square and gate of the healthy wheels.  A wheel whose
       chi-square is larger than its gate disagrees with the other wheels.
+    - ``least_weight``: least weight in the covariance.
     - ``others``: fit without all measurements of the wrong wheels.
     - ``measurements``: all measurements with the uses that the fit makes of them.
     """
@@ -40,6 +37,7 @@ class Hypothesis(NamedTuple):
     fit: Fit
     cost: float
     worst_ratio: float
+    least_weight: float
     others: Fit
     measurements: list[Measurement]
 
@@ -79,8 +77,8 @@ def mixture(hypotheses: Sequence[Hypothesis], *, as_measured: bool) -> Mixture:
     vy = float_sum(p * f.vy for p, f in zip(probabilities, fits, strict=True))
     wz = float_sum(p * f.wz for p, f in zip(probabilities, fits, strict=True))
     mean = best.fit if as_measured else best.fit._replace(vx=vx, vy=vy, wz=wz)
-    weights = [_LEAST_WEIGHT if h.fit is h.others else _LEAST_WRONG for h in hypotheses]
-    mean = covering(mean, list(map(max, probabilities, weights)), fits)
+    at_least = [max(p, h.least_weight) for p, h in zip(probabilities, hypotheses, strict=True)]
+    mean = covering(mean, at_least, fits)
     sliding = {k for h in hypotheses for k in h.sliding}
     # Nothing is left out on the word of a motor that turns as commanded.
     needed = _SURE if sliding or len(best.wrong) > 1 else _MIN_PROBABILITY

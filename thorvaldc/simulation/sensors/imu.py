@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from thorvaldc.runtime.odometry import sum_of_autocorrelation
+from thorvaldc.runtime.filter_covariance import sum_of_autocorrelation
 from thorvaldc.simulation.sensors.simulated_sensor import (
     Array,
     Message,
