@@ -104,7 +104,7 @@ def test_wheels_that_stand_while_others_turn_are_not_outvoted(spinning: int) -> 
         assert 0.0 < estimate.twist.vx < 0.6
         assert estimate.twist.vx <= 2.0 * sigma
         assert 0.6 - estimate.twist.vx <= 2.0 * sigma
-        if spinning == 3:  # the example of docs/explanation/least-squares.md
+        if spinning == 3 and commands:  # the example of docs/explanation/least-squares.md
             assert (estimate.twist.vx, sigma) == pytest.approx((0.58, 0.31), abs=0.005)
 
 
