@@ -50,6 +50,7 @@ multiple of the change by the acceleration of the motor.  Kerbs and rough ground
 LEAPS: Final = 5.0
 """Number of larger changes, less LEAP_DECAY for each second, that single wrong reports explain."""
 LEAP_DECAY: Final = 2.0
+"""Number of such changes that a second makes up for, 1/s."""
 REST_TRAVEL: Final = 0.5
 """Longest travel (rad) of a wheel that is commanded to stand."""
 GRACE: Final = 0.15
