@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from tests.accessibility import axe_script, violations
-from tests.browser import chromium, wait_until
+from tests.browser import chromium
 from tests.docs.site_pages import dead_links, foreign_files
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -164,15 +164,9 @@ def test_axe_finds_a_picture_without_a_text(axe: str, browser: Any) -> None:
 def test_the_search_finds_a_page(address: str, site: Path, browser: Any, opened_as: str) -> None:
     page = browser.new_page(viewport={"width": 1280, "height": 900})
     page.goto(f"{address}/index.html" if opened_as == "http" else (site / "index.html").as_uri())
-
-    def is_found() -> bool:
-        # A page that does not listen yet loses what is typed.
-        for text in ("", "least squares"):
-            page.fill("input[name=query]", text)
-        page.wait_for_timeout(500)
-        return page.query_selector(".md-search-result__item") is not None
-
-    wait_until(page, is_found)
+    # The search listens to keys; it may not see a text that is set at once.
+    page.locator("input[name=query]").press_sequentially("least squares")
+    page.wait_for_selector(".md-search-result__item", timeout=300_000)
     found = page.inner_text(".md-search-result__list")
     page.close()
     assert "Least squares" in found
