@@ -4,7 +4,8 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 
 - ``code``: name of the expected code;
 - ``line``: line of the diagnostic, 0 if it has no span; ``file``: its file (default: any);
-- ``files``: the documents by path, as text, ``!!binary``, or ``{repeat: text, times: n}``;
+- ``files``: the documents by path, as text, ``!!binary``, or ``{repeat: text, times: n}``; in a
+  text, MODEL_VERSION is the version of model.json;
 - ``change``: the smallest change of the files that removes the diagnostic, by path: lines of the
   file that begin with a space, lines that go (``-``), and lines that come (``+``); a line ``@@``
   begins another place.  The lines of a place are in the file once;
@@ -48,6 +49,7 @@ import yaml
 
 from thorvaldc.diagnostics import CODES, Diagnostic, Report
 from thorvaldc.model import Robot
+from thorvaldc.model.model_json import VERSION
 
 HERE = Path(__file__).parent
 PAGES = HERE.parent.parent / "docs" / "diagnostics"
@@ -126,7 +128,9 @@ def bytes_of(content: Any) -> bytes:
     """Returns the bytes of a file of a case."""
     if isinstance(content, dict):
         content = content["repeat"] * content["times"]
-    return content if isinstance(content, bytes) else content.encode()
+    if isinstance(content, bytes):
+        return content
+    return content.replace("MODEL_VERSION", str(VERSION)).encode()
 
 
 def write(files: dict[str, Any], folder: Path) -> None:
