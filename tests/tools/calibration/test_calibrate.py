@@ -135,7 +135,7 @@ def test_invalid_logs_are_errors(thorvaldc: Command, text: str) -> None:
     Path("joints.csv").write_text(text, encoding="utf-8")
     result = thorvaldc("calibrate", "joints.csv", "good.yaml")
     assert result.status == 1
-    assert "error[TV83" in result.err
+    assert "error[TV821]" in result.err or "error[TV831]" in result.err
     assert result.out == ""
 
 
