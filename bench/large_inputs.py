@@ -175,7 +175,7 @@ def _used(command: str, arguments: list[str], folder: Path) -> tuple[float, floa
 
 
 def _record(folder: Path) -> Figure:
-    """Measures ``replay`` of a CSV record whose lines are those of one drive, again and again."""
+    """Measures the ``check`` of a scenario whose script is a CSV record of one drive, repeated."""
     model = compile_file(EXAMPLE).model
     if not isinstance(model, Robot):
         raise SystemExit("the example does not compile")
@@ -189,14 +189,19 @@ def _record(folder: Path) -> Figure:
     with path.open("w", encoding="utf-8") as stream:
         stream.write(header + "\n")
         stream.writelines(f"{k / RATE:g},{values[k % len(values)]}\n" for k in range(number))
-    seconds, memory = _used("replay", [str(EXAMPLE), str(path)], folder)
+    scenario = folder / "scenario.yaml"
+    scenario.write_text(
+        f"thorvaldc: 1\nscenario: long\nrobots: {{robot: {{robot: {EXAMPLE}}}}}\n"
+        "duration: 1 s\nscript: {log: run.csv}\n"
+    )
+    seconds, memory = _used("check", [str(scenario)], folder)
     return Figure(
         f"memory of a record of {HOURS:g} hours",
         memory,
         "MB",
         None,
         "lower",
-        f"`replay` of a CSV record with all groups at {RATE:g} Hz: {number} samples of"
+        f"`check` of a scenario with a CSV record of all groups at {RATE:g} Hz: {number} samples of"
         f" {1 + values[0].count(',') + 1} numbers, {path.stat().st_size / 1e6:.0f} MB, in"
         f" {seconds:.0f} s",
     )

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import pytest
 
+from tests.accessibility import Page, accessible_page
 from tests.buses import robot_with_bus
 from tests.examples import FLEETS, SAMPLED_ROBOTS, example_fleet, example_robot
 from tests.robots import FOUR_STEERED, make_robot
@@ -17,38 +16,7 @@ from thorvaldc.model import Link, Robot
 from thorvaldc.model.facts.fact_tables import fact_tables
 from thorvaldc.model.facts.robot_facts import robot_facts
 
-VOID = {"meta", "wbr"}
 ROBOTS_TO_CHECK = ["4wd2ws_tall", "car", "2wd0ws_greenhouse"]
-
-
-class Page(HTMLParser):
-    """The elements and texts of a page; checks that every element is closed."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.texts: list[tuple[str, str]] = []
-        self._open: list[str] = []
-        self.feed(text)
-        assert not self._open, self._open
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self._open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, dict(attrs)))
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self._open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if data.strip():
-            self.texts.append((self._open[-1] if self._open else "", data.strip()))
-
-    def all(self, tag: str) -> list[dict[str, str | None]]:
-        return [attributes for name, attributes in self.elements if name == tag]
 
 
 def text_of(robot: Robot) -> str:
@@ -60,28 +28,9 @@ def name(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-def test_the_page_loads_nothing(name: str) -> None:
-    text = text_of(example_robot(name))
-    assert not re.search(r"(src|href|url|@import|<script|<link|<iframe)\b\s*[=(]?", text)
-
-
-def test_the_page_is_accessible(name: str) -> None:
-    page = Page(text_of(example_robot(name)))
-    assert page.all("html")[0]["lang"] == "en"
-    headings = [int(tag[1]) for tag, _ in page.elements if re.fullmatch(r"h\d", tag)]
-    assert headings[0] == 1
-    assert headings.count(1) == 1
-    assert all(after - before <= 1 for before, after in itertools.pairwise(headings))
-    ids = [str(a["id"]) for _, a in page.elements if "id" in a]
-    assert len(ids) == len(set(ids))
-    for tag, attributes in page.elements:
-        for reference in str(attributes.get("aria-labelledby") or "").split():
-            assert reference in ids, (tag, reference)
+def test_the_page_is_accessible_and_loads_nothing(name: str) -> None:
+    page = accessible_page(text_of(example_robot(name)))
     assert len(page.all("svg")) == 6
-    for svg in page.all("svg"):
-        assert svg["role"] == "img"
-        assert svg["aria-labelledby"]
-    assert all(attributes.get("scope") in ("row", "col") for attributes in page.all("th"))
 
 
 def test_the_page_has_every_fact(name: str) -> None:

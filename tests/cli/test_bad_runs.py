@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from rosbags.highlevel import AnyReader
 
 from tests.child_process import ChildProcess
 from tests.cli.conftest import Command
@@ -145,9 +146,8 @@ def test_a_diverged_robot_is_reported_with_time_and_cause(thorvaldc: Command) ->
     assert "stiff.yaml:2:7: error[TV805]" in result.err
     assert "after 0.0" in result.err
     assert "the joint `wild/" in result.err
-    replayed = thorvaldc("replay", "s.yaml", "r.mcap")
-    assert replayed.status == 0
-    assert "wild" in replayed.out
+    with AnyReader([Path("r.mcap")]) as record:
+        assert "/wild/odom" in {connection.topic for connection in record.connections}
 
 
 CTRL_C = (signal.SIGINT, 130, "interrupted\n")
@@ -183,11 +183,12 @@ def test_a_terminated_run_leaves_a_readable_record(
             process.kill()
     assert (process.returncode, out, err) == (status, "", expected)
     assert not list(Path().glob(".*"))
-    result = thorvaldc("replay", path, record, "--json")
-    assert result.status == 0, result.err
-    assert result.err == ""
     if record.endswith(".csv"):
         assert last_time(record) > 0.1
+    else:
+        with AnyReader([Path(record)]) as reader:
+            assert reader.duration > 1e8  # ns
+            assert len([*reader.messages()]) == reader.message_count
 
 
 def _written() -> int:

@@ -26,7 +26,11 @@ HINTS = [
     ("matplotlib", ("sim", "good.yaml", "--ideal", "--duration", "0.1", "--plot", "o.png"), "plot"),
     ("PIL", ("sim", "good.yaml", "--duration", "0.1", "--video", "o.gif"), "video"),
     ("imageio_ffmpeg", ("sim", "good.yaml", "--duration", "0.1", "--video", "o.mp4"), "video"),
-    ("rosbags", ("replay", "good.yaml", "o.mcap"), "record"),
+    (
+        "rosbags",
+        ("sim", "good.yaml", "--ideal", "--duration", "0.1", "--record", "o.mcap"),
+        "record",
+    ),
     ("evdev", ("teleop", "good.yaml", "--on", "ideal", "--joystick", "auto"), "joystick"),
     ("serial", ("can", "scan", "good.yaml", "--bus", "slcan:/dev/null"), "serial"),
     ("msgpack", ("can", "scan", "good.yaml", "--bus", "udp"), "udp"),

@@ -44,8 +44,6 @@ def bare(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch) -> Command:
         *(("sim", "no.yaml", *option) for option in (("--video", "v.gif"), ("--plot", "p.png"))),
         ("scenario", "no.yaml", "--video", "v.mp4"),
         ("render", "no.yaml"),
-        ("render", "good.yaml", "--replay", "no.csv"),
-        ("replay", "good.yaml", "no.csv", "--video", "v.gif", "--plot", "p.png"),
         ("view", "no.yaml"),
         ("preview", "no.yaml"),
         ("study", "run", "no.yaml"),

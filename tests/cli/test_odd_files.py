@@ -16,8 +16,8 @@ COMMANDS = {
     "check": ["check", "FILE"],
     "import": ["import", "FILE"],
     "calibrate": ["calibrate", "FILE", "good.yaml"],
-    "replay": ["replay", "good.yaml", "FILE"],
-    "replay of a bag": ["replay", "good.yaml", "FILE.mcap"],
+    "log": ["check", "log.yaml"],
+    "bag": ["check", "bag.yaml"],
     "faults": ["bus", "good.yaml", "--faults", "FILE"],
     "store": ["bus", "good.yaml", "--store", "FILE"],
     "mesh": ["check", "mesh.yaml"],
@@ -38,13 +38,23 @@ EXTRA = (
     "</collision></link></robot>"
 )
 
+SCENARIO = """\
+thorvaldc: 1
+scenario: trial
+robots: {{cart: {{robot: good.yaml}}}}
+duration: 1 s
+script: {{log: {}}}
+"""
+
 
 def command_line(name: str) -> tuple[list[str], Path]:
     """Returns the arguments of a command and the path of the file that it reads."""
     Path("mesh.yaml").write_text(MESH, encoding="utf-8")
     Path("extra.urdf").write_text(EXTRA, encoding="utf-8")
+    Path("log.yaml").write_text(SCENARIO.format("FILE"), encoding="utf-8")
+    Path("bag.yaml").write_text(SCENARIO.format("FILE.mcap"), encoding="utf-8")
     arguments = COMMANDS[name]
-    file = {"mesh": "FILE.stl", "model": "model.json", "replay of a bag": "FILE.mcap"}
+    file = {"mesh": "FILE.stl", "model": "model.json", "bag": "FILE.mcap"}
     return arguments, Path(file.get(name, "FILE"))
 
 

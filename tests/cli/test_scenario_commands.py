@@ -1,4 +1,4 @@
-"""The commands ``scenario``, ``batch`` and ``replay``, and ``sim`` of a scenario."""
+"""The commands ``scenario`` and ``batch``, and ``sim`` of a scenario."""
 
 from __future__ import annotations
 
@@ -51,13 +51,6 @@ def test_a_batch_runs_the_variations_of_the_scenario(thorvaldc: Command) -> None
     assert "2 runs, all as expected" in result.out
     both = thorvaldc("batch", "s.yaml", *settings, "--variations")
     assert "4 runs, all as expected" in both.out
-
-
-def test_a_record_is_replayed_and_converted(thorvaldc: Command) -> None:
-    assert thorvaldc("scenario", "s.yaml", "--record", "a.csv").status == 0
-    result = thorvaldc("replay", "s.yaml", "a.csv", "--record", "b.csv")
-    assert result.status == 0, result.err
-    assert Path("b.csv").read_bytes() == Path("a.csv").read_bytes()
 
 
 @pytest.mark.parametrize("command", ["scenario", "batch"])

@@ -24,7 +24,6 @@ ARGUMENTS = {
     "new": ["mine"],
     "scenario": ["s.yaml"],
     "batch": ["s.yaml"],
-    "replay": ["good.yaml", "record.csv"],
     "view": ["good.yaml", "--html"],
     "run": ["good.yaml", "--bus", "virtual"],
     "call": ["nobody"],
@@ -161,7 +160,6 @@ def test_wrong_arguments(words: tuple[str, ...], thorvaldc: Command) -> None:
     [
         *((name, "no.yaml") for name in ("check", "build", "sim", "render", "preview", "view")),
         *((name, "no.yaml") for name in ("scenario", "batch", "bus", "faults", "info", "import")),
-        ("replay", "good.yaml", "no.mcap"),
         ("run", "no.yaml", "--bus", "virtual"),
         ("can", "plan", "no.yaml", "--bus", "virtual"),
         ("can", "monitor", "no.yaml", "--bus", "sim:x"),

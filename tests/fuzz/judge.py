@@ -68,7 +68,7 @@ def prepare() -> None:
 
     import thorvaldc.compiler.extras.load_extras  # noqa: F401
 
-    for command in ("check", "build", "sim", "scenario", "batch", "replay", "run", "calibrate"):
+    for command in ("check", "build", "sim", "scenario", "batch", "run", "calibrate"):
         with suppress(RuntimeError):
             run_quietly(command, "missing.yaml")
     gc.collect()

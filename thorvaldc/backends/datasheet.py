@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from thorvaldc.backends import Backend
 from thorvaldc.backends.templates import Templates
 from thorvaldc.model import Box, Collision, Cylinder, MeshShape, Robot, Shape, Sphere, Vec3, Visual
+from thorvaldc.model.facts.fact_page import code, page, table_html
 from thorvaldc.model.facts.fact_tables import fact_tables
 from thorvaldc.model.facts.robot_facts import RobotFacts, robot_facts
 from thorvaldc.model.facts.size import Size
@@ -22,9 +22,6 @@ from thorvaldc.model.statics.tip_over import Point, convex_hull
 from thorvaldc.model.stl import mesh_pieces
 from thorvaldc.model.sums import float_sum
 
-if TYPE_CHECKING:
-    from markupsafe import Markup
-
 _MARGIN = 0.17
 """Space around a view for dimension lines, as a share of the largest extent of the robot."""
 _SIDES = 24
@@ -33,19 +30,7 @@ _GRID = 1e-4
 """Points of an outline are rounded to this length in m, because the outline of a mesh with many
 vertices has thousands of them."""
 
-
-def _code(text: str) -> Markup:
-    """Return a text as HTML in which names in backticks are code.
-
-    A long name may be broken after an underscore, a dot or a slash.
-    """
-    from markupsafe import Markup, escape
-
-    html = re.sub(r"`([^`]*)`", r"<code>\1</code>", str(escape(text)))
-    return Markup(re.sub(r"(?<=\w)([_./])(?=[^\W\d])", r"\1<wbr>", html))
-
-
-_TEMPLATES = Templates("datasheet", {"code": _code}, escapes_html=True)
+_TEMPLATES = Templates("datasheet", {"code": code}, escapes_html=True)
 
 
 class Datasheet(Backend):
@@ -56,17 +41,21 @@ class Datasheet(Backend):
         facts = robot_facts(robot)
         projector = OutlineProjector(robot)
         addresses = [address for bus in facts.buses for address in bus.addresses]
-        page = _TEMPLATES.render(
-            "page.html",
+        content = _TEMPLATES.render(
+            "content.html",
             facts=facts,
             tables=fact_tables(facts),
+            table_html=table_html,
             dimensions=dimension_drawing(robot, facts, projector),
             sides=side_pictures(facts, projector),
             tip_over=tip_over_drawing(facts.stability),
             labels=[address for address in addresses if address.id_space],
             model=model_hash(robot)[:12],
         )
-        return {"datasheet/datasheet.html": page.encode()}
+        about = facts.description or "Data sheet"
+        style = _TEMPLATES.texts["style.css"]
+        text = page(f"{facts.name}: data sheet", facts.name, about, content, style)
+        return {"datasheet/datasheet.html": text.encode()}
 
 
 # -- drawings: values for the template, in mm to the right and down ------------------------

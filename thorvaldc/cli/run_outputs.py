@@ -6,7 +6,7 @@ it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -20,7 +20,6 @@ from thorvaldc.compiler.recordings.ros_bag import MissingPackageError
 from thorvaldc.diagnostics.files import AtomicFile
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.simulation.control_loop import ControlLoop, Sample, TickCallback
-from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.pictures import PictureError, check_pillow
 from thorvaldc.simulation.pictures.plot import FORMATS as PLOT_FORMATS
 from thorvaldc.simulation.pictures.plot import check_plotting, plot
@@ -199,22 +198,6 @@ class RunPictures:
             self._samples.setdefault(loop.name, []).append(loop.sample())
         if self._video_recorder is not None and loop.scene is not None:
             self._video_recorder.on_tick(loop.scene)
-
-    def take_record(
-        self,
-        samples: Mapping[str, Sequence[Sample]],
-        scenes: Callable[[float], Iterable[MujocoScene]] | None,
-    ) -> None:
-        """Stores the samples of a recorded run for the plot and the video.
-
-        The function ``scenes`` returns the MuJoCo scene at each picture of the video, for a rate in
-        Hz.
-        """
-        if self.plot:
-            self._samples = {name: list(of_robot) for name, of_robot in samples.items()}
-        if self._video_recorder is not None and scenes is not None:
-            for scene in scenes(self._video_recorder.rate):
-                self._video_recorder.store(scene)
 
     def write(
         self,

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-import html
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
 from thorvaldc.commissioning import commission_report
-from thorvaldc.commissioning.commission_report import CommissionReport, FoundNode
+from thorvaldc.commissioning.commission_report import CheckedMotor, CommissionReport, FoundNode
 from thorvaldc.diagnostics.files import write_file
 from thorvaldc.model import Robot
+from thorvaldc.model.facts.fact_page import escape, page, table_html
+from thorvaldc.model.facts.fact_tables import FactTable
 
-_STYLE = """body{font:15px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}
-table{border-collapse:collapse;width:100%}td,th{text-align:left;padding:.2em .6em;
-border-bottom:1px solid #ccc}.no{color:#b00020;font-weight:bold}.yes{color:#1b6e2e}
-svg{background:#f4f4f4}h2{margin-top:1.5em}"""
+_NOT_IN_BOUNDS = "not in bounds"
+_STYLE = """\
+section { overflow-x: auto; }
+td { overflow-wrap: anywhere; }
+svg { width: auto; max-width: 100%; }
+.fault { color: #b00020; font-weight: 600; }
+"""
 
 
 def write_report(path: Path, robot: Robot, report: CommissionReport) -> None:
@@ -26,60 +29,39 @@ def write_report(path: Path, robot: Robot, report: CommissionReport) -> None:
 
 def page_of(robot: Robot, report: CommissionReport) -> str:
     """Returns the report as an HTML page without scripts and external files."""
-    title = f"First motion of {html.escape(robot.name)}"
-    verdict = _verdict(report.passed, "passed" if report.passed else "not passed")
     facts = {
         "robot": report.robot,
         "interrupted": report.interruption,
         "date": report.date,
         "operator": report.operator,
-        "program": f"thorvaldc {report.program}",
         "model": report.model,
     }
-    changes = [f"{html.escape(f.text)}<br>{html.escape(f.change)}" for f in report.findings]
-    parts = [
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{title}</title>",
-        f"<style>{_STYLE}</style><h1>{title}: {verdict}</h1>",
-        _table((name, html.escape(value)) for name, value in facts.items() if value),
-        *([f"<h2>What to change</h2>{_list(changes)}"] if changes else []),
-        f"<h2>Wheels</h2>{_picture(robot, report)}<h2>Motors</h2>",
-        *_motors(report),
-        "<h2>Devices</h2>",
-        _table((html.escape(n.name), html.escape(_identity(n))) for n in report.nodes),
-        _calibration(report),
-        "</html>\n",
+    stated = tuple(item for item in facts.items() if item[1])
+    sections = [table_html(FactTable("report", "Report", (), stated))]
+    if report.findings:
+        changes = tuple((finding.text, finding.change) for finding in report.findings)
+        columns = ("finding", "change")
+        sections.append(table_html(FactTable("changes", "What to change", columns, changes)))
+    sections.append(_picture(robot, report))
+    sections += [table_html(_motor(motor), (_NOT_IN_BOUNDS,)) for motor in report.motors]
+    devices = tuple((node.name, _identity(node)) for node in report.nodes)
+    sections.append(table_html(FactTable("devices", "Devices", (), devices)))
+    if report.calibration is not None:
+        sections.append(table_html(_calibration(report.calibration)))
+    title = f"First motion of {robot.name}: {'passed' if report.passed else 'not passed'}"
+    about = f"Written by thorvaldc {report.program}"
+    return page(title, title, about, "".join(sections), _STYLE)
+
+
+def _motor(motor: CheckedMotor) -> FactTable:
+    rows = [
+        (f.name, f.value_text, f.bounds_text, "ok" if f.passed else _NOT_IN_BOUNDS)
+        for f in motor.figures
     ]
-    return "".join(parts)
-
-
-def _table(rows: Iterator[tuple[str, ...]]) -> str:
-    """``rows``: cells in HTML."""
-    cells = ["".join(f"<td>{cell}</td>" for cell in row) for row in rows]
-    return f"<table>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
-
-
-def _list(items: list[str]) -> str:
-    return f"<ul>{''.join(f'<li>{item}</li>' for item in items)}</ul>"
-
-
-def _verdict(passed: bool, text: str) -> str:
-    return f"<span class='{'yes' if passed else 'no'}'>{html.escape(text)}</span>"
-
-
-def _motors(report: CommissionReport) -> Iterator[str]:
-    for motor in report.motors:
-        state = _verdict(motor.state == commission_report.PASSED, motor.state)
-        rows = [
-            (
-                html.escape(figure.name),
-                html.escape(figure.value_text),
-                html.escape(figure.bounds_text),
-                _verdict(figure.passed, "ok" if figure.passed else "not in bounds"),
-            )
-            for figure in motor.figures
-        ]
-        rows += [(html.escape(name), "not tested", "", "") for name in motor.not_tested]
-        yield f"<h3>{html.escape(motor.name)}: {state}</h3>{_table(iter(rows))}"
+    rows += [(name, "not tested", "", "") for name in motor.not_tested]
+    columns = ("check", "value", "bounds", "verdict")
+    title = f"Motor {motor.name}: {motor.state}"
+    return FactTable(f"motor-{motor.name}", title, columns, tuple(rows), (1, 2))
 
 
 def _identity(node: FoundNode) -> str:
@@ -104,7 +86,9 @@ def _picture(robot: Robot, report: CommissionReport) -> str:
     width = (max(ys) - min(ys)) * scale + 160
     height = (max(xs) - min(xs)) * scale + 120
     parts = [
-        f"<svg width='{width:.0f}' height='{height:.0f}' role='img'>"
+        "<section aria-labelledby='wheels'><h2 id='wheels'>Wheels</h2>"
+        f"<svg width='{width:.0f}' height='{height:.0f}' role='img' aria-labelledby='picture'>"
+        "<title id='picture'>The wheels from above; those with a finding are red</title>"
         f"<text x='{width / 2.0:.0f}' y='20' text-anchor='middle'>front</text>"
     ]
     for number, wheel in enumerate(robot.wheels, 1):
@@ -115,30 +99,25 @@ def _picture(robot: Robot, report: CommissionReport) -> str:
         parts.append(
             f"<rect x='{x - 15:.0f}' y='{y - 35:.0f}' width='30' height='70' rx='6'"
             f" fill='{colour}'/><text x='{x:.0f}' y='{y + 52:.0f}' text-anchor='middle'>"
-            f"{number} {html.escape(wheel.name)}</text>"
+            f"{number} {escape(wheel.name)}</text>"
         )
-    return "".join([*parts, "</svg>"])
+    return "".join([*parts, "</svg></section>\n"])
 
 
-def _calibration(report: CommissionReport) -> str:
+def _calibration(result: commission_report.CalibrationResult) -> FactTable:
     """Returns what `calibrate` has measured afterwards, with the errors that last."""
-    if report.calibration is None:
-        return ""
-    rows = [
+    rows = tuple(
         (
-            html.escape(wheel.name),
+            wheel.name,
             _estimate(wheel.steering_offset, wheel.steering_offset_error, math.degrees(1.0), "deg"),
             _estimate(wheel.radius_ratio, wheel.radius_ratio_error, 1.0, ""),
         )
-        for wheel in report.calibration.wheels
-    ]
-    heading = ("wheel", "steering offset", "radius ratio")
-    errors = [
-        f"{html.escape(error.name)}: {error.value:.4g}"
-        for error in report.calibration.remaining_errors
-    ]
-    after = f"<p>Errors that remain, in SI units:</p>{_list(errors)}" if errors else ""
-    return f"<h2>Calibration</h2>{_table(iter([heading, *rows]))}{after}"
+        for wheel in result.wheels
+    )
+    errors = ", ".join(f"{error.name} {error.value:.4g}" for error in result.remaining_errors)
+    notes = (f"Errors that remain, in SI units: {errors}.",) if errors else ()
+    columns = ("wheel", "steering offset", "radius ratio")
+    return FactTable("calibration", "Calibration", columns, rows, (1, 2), notes)
 
 
 def _estimate(value: float | None, error: float | None, scale: float, unit: str) -> str:

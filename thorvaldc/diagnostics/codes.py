@@ -309,15 +309,12 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV815", "simulation-collision", "a robot collided in a simulation run"),
     _error("TV820", "expectation-failed", "a run does not meet an expectation of its scenario"),
     _error("TV821", "record-unreadable", "a file is not a record of a run, or is damaged"),
-    _error("TV822", "record-robot", "a record is from other robots"),
     _error("TV823", "record-value", "a value is not a number, or the time does not increase"),
     _warning("TV824", "record-truncated", "a record ends in the middle of a line"),
-    _error("TV825", "record-incomplete", "a record lacks the data for the requested output"),
     _error("TV826", "script-log", "a log contains no velocities for a script"),
-    _error("TV830", "joint-log-header", "the first line of a file is no joint log header"),
-    _error("TV831", "joint-log-joint", "the joints of a joint log differ from those of the robot"),
-    _error("TV832", "joint-log-value", "a value of a joint log is not a finite number"),
-    _error("TV833", "joint-log-time", "the time of a joint log does not increase"),
+    _error(
+        "TV831", "joint-log-joint", "the columns of a joint log are not those of the robot's joints"
+    ),
     _warning("TV834", "joint-log-gap", "a joint log has gaps"),
     _error("TV835", "joint-log-short", "the robot hardly moves in a joint log"),
     _warning("TV836", "calibration-forced", "the wheels of a log follow their commands exactly"),

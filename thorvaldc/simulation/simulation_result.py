@@ -66,7 +66,7 @@ class RobotResult:
 class SimulationResult:
     """Result of a simulation run with one or more robots.
 
-    * ``physics``: ``mujoco``, ``ideal`` (ideal joints) or ``record`` (a replayed record).
+    * ``physics``: ``mujoco`` or ``ideal`` (ideal joints).
     * ``duration``: requested duration of the run (s).
     * ``simulated``: simulated duration of the run (s).
     * ``real_time_factor``: simulated time divided by computing time.

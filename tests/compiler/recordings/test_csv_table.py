@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from thorvaldc.compiler.recordings import csv_table
-from thorvaldc.compiler.recordings.csv_table import Table, read_table
+from thorvaldc.compiler.recordings.csv_table import read_columns, read_header
 from thorvaldc.diagnostics import Report
 
 
-def read(path: Path) -> tuple[Table | None, list[str]]:
+def read(path: Path) -> tuple[dict[str, Sequence[float]] | None, list[str]]:
     report = Report()
-    table = read_table(path, path.name, report)
+    header = read_header(path, path.name, report)
+    table = None if header is None else read_columns(header, report)
     return table, [f"{d.span.line}: {d.message}" for d in report]
 
 
@@ -25,7 +27,7 @@ def test_a_file_with_too_many_numbers_ends_at_the_line(
     path.write_text("time,x\n" + "".join(f"{i},1\n" for i in range(150_000)))
     table, messages = read(path)
     assert table is not None
-    assert len(table) == 150_000
+    assert len(table["time"]) == 150_000
     assert messages == []
     with path.open("a") as file:
         file.write("150000,1\n")
@@ -49,8 +51,8 @@ def test_text_is_checked_to_its_last_byte(tmp_path: Path) -> None:
     table, messages = read(path)
     assert table is not None
     assert messages == []
-    assert list(table.columns) == ["time", "µ"]
-    assert list(table.columns["µ"]) == [1.0, 2.0]
+    assert list(table) == ["time", "µ"]
+    assert list(table["µ"]) == [1.0, 2.0]
     # The last character is cut in its middle, behind the chunks that the reader checks.
     path.write_bytes(rows + b"\n" * (1 << 20) + "µ".encode()[:1])
     table, messages = read(path)

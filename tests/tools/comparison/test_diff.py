@@ -212,7 +212,7 @@ def test_a_page_shows_both_robots_and_the_differences(thorvaldc: Command) -> Non
     assert (result.status, result.err) == (0, "both.html\n")
     page = Path("both.html").read_text(encoding="utf-8")
     assert '"ghost":' in page
-    assert "<td>track</td><td>0.9 m -&gt; 1 m (+11 %)</td>" in page
+    assert '<th scope="row">~ track</th><td>0.9 m -&gt; 1 m (+11 %)</td>' in page
     assert "<script>alert" not in page
     assert thorvaldc("diff", "out", other, "--html", "both.pdf").status == 2
 

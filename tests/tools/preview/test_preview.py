@@ -24,7 +24,9 @@ from playwright.sync_api import Browser, Page
 from tests.accessibility import axe_script, violations
 from tests.browser import WAIT, chromium, wait_until
 from tests.child_process import ChildProcess
+from tests.commissioning import test_commission_page
 from tests.examples import example_robot
+from thorvaldc.commissioning.commission_page import page_of
 from thorvaldc.comparison.robot_comparison import compare_robots
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.simulation.web_viewer import view_page
@@ -280,6 +282,7 @@ def test_exported_pages_are_accessible(browser: Browser, axe: str, tmp_path: Pat
         "view": view_page(robot).encode(),
         "diff": difference_page(compare_robots(before, robot), before, robot).encode(),
         "datasheet": emit(robot, ["datasheet"])["datasheet/datasheet.html"],
+        "first motion": page_of(test_commission_page.ROBOT, test_commission_page.report()).encode(),
     }
     found = []
     for name, text in texts.items():

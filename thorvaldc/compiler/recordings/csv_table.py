@@ -28,143 +28,107 @@ _MAX_INVALID_LINES = 10
 
 
 @dataclass(frozen=True, slots=True)
-class RowRules:
-    """Rules for checking the data lines of a CSV file.
-
-    - ``value_code``: name of the diagnostic for an invalid cell or a wrong number of cells.
-    - ``time_code``: name of the diagnostic for a time that does not increase.
-    - ``time_hint``: hint of the diagnostic for a time that does not increase.
-    - ``complete``: whether empty cells and an incomplete last line are errors.
-    """
-
-    value_code: str
-    time_code: str
-    time_hint: str | None = None
-    complete: bool = False
-
-
-_RECORD_ROWS = RowRules("record-value", "record-value")
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """The content of a CSV file: first line and columns of numbers.
+class Header:
+    """The first line of a CSV file, with the names of its columns.
 
     - ``display``: name of the file in messages.
-    - ``header``: first line of the file.
-    - ``columns``: numbers of each column, by the name of the column.
+    - ``line``: first line of the file.
+    - ``names``: names of the columns in the order of the file; ``time`` and others.
+    - ``data``: bytes of the file in UTF-8.
     """
 
     display: str
-    header: str
-    columns: dict[str, Sequence[float]]
-
-    def __len__(self) -> int:
-        return len(self.columns[TIME])
+    line: str
+    names: list[str]
+    data: bytes
 
     def span_of(self, column: str) -> Span:
         """Returns the source span of a column name in the first line of the CSV file."""
-        return cell_span(self.display, 1, self.header, list(self.columns).index(column))
+        return _cell_span(self.display, 1, self.line, self.names.index(column))
+
+    @property
+    def span(self) -> Span:
+        """The source span of diagnostics about the whole line."""
+        return Span(self.display, 1, 1, 1, 1)
 
 
-def read_table(path: Path, display: str, report: Report) -> Table | None:
-    """Reads a CSV file with the samples of a run.  Returns ``None`` if the file has an error.
+def read_header(path: Path, display: str, report: Report) -> Header | None:
+    """Reads a CSV file and the names of its columns.
 
-    The value of an empty cell is nan.  An empty cell in the column ``time`` of the CSV file is an
-    error.  If the last line of the CSV file is incomplete, the reader ignores the line and reports
-    a warning.
+    If the file cannot be read or is not a table of a run, adds an error to ``report`` and returns
+    ``None``.  A first line of more than 1 MB is cut.
     """
-    data = read_utf8(path, display, report)
+    data = _read_utf8(path, display, report)
     if data is None:
         return None
-    header = first_line(data)
-    names = column_names(header)
-    error = _header_error(names)
+    end = data.find(b"\n", 0, _MAX_HEADER_BYTES)
+    line = data[: end if end >= 0 else _MAX_HEADER_BYTES].decode("utf-8", "replace").rstrip("\r")
+    # After the largest number of columns, the rest of the line is one name.
+    names = [name.strip() for name in line.split(",", _MAX_COLUMNS)]
+    span, error = Span(display, 1, 1, 1, 1), None
+    repeated = next((i for i, name in enumerate(names) if name in names[:i]), None)
+    if len(names) > _MAX_COLUMNS:
+        error = f"more than {_MAX_COLUMNS} columns"
+    elif repeated is not None:
+        error = f"two columns `{names[repeated]}`"
+        span = _cell_span(display, 1, line, repeated)
+    elif TIME not in names:
+        error = "no column `time`"
+    elif len(names) < 2:
+        error = "no column except `time`"
     if error is not None:
         message = f"`{display}` is not a table of a run: its first line has {error}"
-        report.add("record-unreadable", message, Span(display, 1, 1, 1, 1))
+        report.add("record-unreadable", message, span)
         return None
-    columns = read_columns(data, names, display, report, _RECORD_ROWS)
-    return None if columns is None else Table(display, header, columns)
-
-
-def first_line(data: bytes) -> str:
-    """Returns the first line of a CSV file, with the column names.
-
-    A first line of more than 1 MB is cut.
-    """
-    end = data.find(b"\n", 0, _MAX_HEADER_BYTES)
-    line = data[: end if end >= 0 else _MAX_HEADER_BYTES]
-    return line.decode("utf-8", "replace").rstrip("\r")
-
-
-def column_names(header: str) -> list[str]:
-    """Returns the names in the first line of a CSV file.
-
-    After the largest number of columns, the rest of the line is one name.
-    """
-    return [name.strip() for name in header.split(",", _MAX_COLUMNS)]
-
-
-def _header_error(names: Sequence[str]) -> str | None:
-    if len(names) > _MAX_COLUMNS:
-        return f"more than {_MAX_COLUMNS} columns"
-    repeated = next((name for i, name in enumerate(names) if name in names[:i]), None)
-    if repeated is not None:
-        return f"two columns `{repeated}`"
-    if TIME not in names:
-        return "no column `time`"
-    return "no column except `time`" if len(names) < 2 else None
+    return Header(display, line, names, data)
 
 
 def read_columns(
-    data: bytes, names: Sequence[str], display: str, report: Report, rules: RowRules
+    header: Header, report: Report, *, complete: bool = False
 ) -> dict[str, Sequence[float]] | None:
     """Returns the numbers in each column of a CSV file, or ``None`` if a line is invalid.
 
-    - ``data``: bytes of the file in UTF-8, including the first line with the column names.
-    - ``names``: names of the columns, in the order of the file.
-    - ``rules``: diagnostic codes for invalid lines.
+    The value of an empty cell is nan.  An empty cell in the column ``time`` is an error.  If the
+    last line is incomplete, the reader ignores it and reports a warning.  ``complete``: every empty
+    cell and an incomplete last line are errors.
 
     Each invalid line of the CSV file is reported with its line and column number.  Stops after
     ``_MAX_INVALID_LINES`` invalid lines of the CSV file, and with more than 20 million numbers.
     """
+    display, names = header.display, header.names
     columns = [array("d") for _ in names]
     most_rows = _MAX_NUMBERS // len(names)
     invalid_lines, last_time, time_index = 0, -math.inf, names.index(TIME)
-    for line_number, line, is_last in _data_lines(data):
+    for line_number, line, is_last in _data_lines(header.data):
         cells = line.split(",", len(names))  # at most one cell more than columns
         line_span = Span(display, line_number, 1, line_number, len(line) + 1)
-        is_cut = len(cells) != len(names) and is_last
-        if is_cut and not rules.complete:
+        if len(cells) != len(names) and is_last and not complete:
             message = f"`{display}` ends in an incomplete line, after {max(last_time, 0.0):.10g} s"
             report.add("record-truncated", message, line_span)
             break
-        error = _value_error(cells, names, time_index, rules)
-        time = parse_number(cells[time_index]) if error is None else math.nan
-        if time > last_time and len(columns[0]) >= most_rows:
+        error = _value_error(cells, names, time_index, complete)
+        hint = None
+        if error is None:
+            time = parse_number(cells[time_index])
+            if time <= last_time:
+                error = time_index, f"the time goes from {last_time:.10g} s to {time:.10g} s"
+                hint = "times must increase; write each run to a file of its own"
+        if error is not None:
+            index, message = error
+            span = line_span if index is None else _cell_span(display, line_number, line, index)
+            report.add("record-value", message, span, hint=hint)
+            invalid_lines += 1
+            if invalid_lines >= _MAX_INVALID_LINES:
+                break
+            continue
+        if len(columns[0]) >= most_rows:
             message = f"`{display}` has more than {_MAX_NUMBERS / 1e6:g} million numbers"
             report.add("file-unreadable", message, line_span)
             return None
-        if time > last_time:
-            for column, cell in zip(columns, cells, strict=True):
-                column.append(parse_number(cell))
-            last_time = time
-            continue
-        if error is None:
-            message = f"the time goes from {last_time:.10g} s to {time:.10g} s"
-            span = cell_span(display, line_number, line, time_index)
-            report.add(rules.time_code, message, span, hint=rules.time_hint)
-        else:
-            index, message = error
-            span = line_span if index is None else cell_span(display, line_number, line, index)
-            report.add(rules.value_code, message, span)
-        invalid_lines += 1
-        if invalid_lines >= _MAX_INVALID_LINES:
-            break
-    if invalid_lines:
-        return None
-    return dict(zip(names, columns, strict=True))
+        for column, cell in zip(columns, cells, strict=True):
+            column.append(parse_number(cell))
+        last_time = time
+    return None if invalid_lines else dict(zip(names, columns, strict=True))
 
 
 def _data_lines(data: bytes) -> Iterator[tuple[int, str, bool]]:
@@ -183,7 +147,7 @@ def _data_lines(data: bytes) -> Iterator[tuple[int, str, bool]]:
 
 
 def _value_error(
-    cells: Sequence[str], names: Sequence[str], time_index: int, rules: RowRules
+    cells: Sequence[str], names: Sequence[str], time_index: int, complete: bool
 ) -> tuple[int | None, str] | None:
     """Returns the error in a CSV line as (cell index, message), or ``None`` if the line is valid.
 
@@ -194,13 +158,13 @@ def _value_error(
         count = min(len(cells), len(names))
         return None, f"the line has {more}{count} values; there are {len(names)} columns"
     for i, cell in enumerate(cells):
-        must_be_number = rules.complete or bool(cell.strip()) or i == time_index
+        must_be_number = complete or bool(cell.strip()) or i == time_index
         if must_be_number and not math.isfinite(parse_number(cell)):
             return i, f"`{cell.strip()}` in column {names[i]} is not a finite number"
     return None
 
 
-def read_utf8(path: Path, display: str, report: Report) -> bytes | None:
+def _read_utf8(path: Path, display: str, report: Report) -> bytes | None:
     """Returns the bytes of a file in UTF-8, without a byte order mark.
 
     The text of a long log would need the memory of the log a second time.  If the file cannot be
@@ -229,7 +193,7 @@ def parse_number(cell: str) -> float:
         return math.nan
 
 
-def cell_span(display: str, line_number: int, line: str, index: int) -> Span:
+def _cell_span(display: str, line_number: int, line: str, index: int) -> Span:
     """Returns the source span of the CSV cell with the number ``index`` (from 0) in a line."""
     cells = line.split(",")
     start = sum(len(cell) + 1 for cell in cells[:index]) + 1

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.recordings import ros_bag
-from thorvaldc.compiler.recordings.csv_table import TIME, Table, read_table
+from thorvaldc.compiler.recordings.csv_table import TIME, read_columns, read_header
 from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import Command
@@ -65,41 +65,34 @@ def read_twists(
 
 
 def _read_csv(path: Path, display: str, report: Report) -> tuple[Command, ...] | None:
-    """Reads the commanded twists from a CSV file."""
-    table = read_table(path, display, report)
-    return _commands_of_table(table, report) if table is not None else None
+    """Reads the commanded twists from a CSV file.
 
-
-def _commands_of_table(table: Table, report: Report) -> tuple[Command, ...] | None:
-    """Returns the commanded twists from a CSV table.
-
-    The CSV table is a record of this program or a file of the user.  If the CSV table has no column
-    for a component of the twist, the component is 0.
+    The CSV file is a record of this program or a file of the user.  If it has no column for a
+    component of the twist, the component is 0.
     """
-    columns = table.columns
-    prefix = "asked_" if "asked_vx" in columns else ""
+    header = read_header(path, display, report)
+    if header is None:
+        return None
+    prefix = "asked_" if "asked_vx" in header.names else ""
     names = [prefix + component for component in _COMPONENTS]
-    if not any(name in columns for name in names):
+    if not any(name in header.names for name in names):
         report.add(
             "script-log",
-            f"`{table.display}` has no velocities: no column `asked_vx` of a record, nor `vx`, "
+            f"`{display}` has no velocities: no column `asked_vx` of a record, nor `vx`, "
             "`vy` or `wz`",
-            Span(table.display, 1, 1, 1, 1),
+            header.span,
         )
         return None
-    rows = zip(
-        columns[TIME],
-        *(columns.get(name, [0.0] * len(table)) for name in names),
-        strict=True,
-    )
+    columns = read_columns(header, report)
+    if columns is None:
+        return None
+    times = columns[TIME]
+    zeros = [0.0] * len(times)
     commands: list[Command] = []
-    for row in rows:
+    for row in zip(times, *(columns.get(name, zeros) for name in names), strict=True):
         if not all(map(math.isfinite, row)):
-            report.add(
-                "script-log",
-                f"`{table.display}` has no velocity at {row[0]:.6g} s",
-                Span(table.display, 1, 1, 1, 1),
-            )
+            message = f"`{display}` has no velocity at {row[0]:.6g} s"
+            report.add("script-log", message, header.span)
             return None
         _append(commands, Command(*row))
     return tuple(commands)

@@ -101,15 +101,12 @@ def render(
     *,
     twist: Twist = ZERO_TWIST,
     spin: float = 0.0,
-    arrange: Callable[[MujocoScene], None] | None = None,
 ) -> bytes:
     """Returns a PNG picture of a robot or a fleet in the home pose.
 
     ``files`` are the outputs of the ``mjcf`` backend.  The wheels are steered for the twist
-    ``twist``.  Each wheel is turned by ``spin`` rad more than the previous wheel.  If the function
-    ``arrange`` is set, ``arrange`` moves the robots and the arguments ``twist`` and ``spin`` have
-    no effect.  Raises ``DiagnosticError`` if MuJoCo cannot read the files.  Raises ``PictureError``
-    if MuJoCo cannot draw.
+    ``twist``.  Each wheel is turned by ``spin`` rad more than the previous wheel.  Raises
+    ``DiagnosticError`` if MuJoCo cannot read the files, and ``PictureError`` if MuJoCo cannot draw.
     """
     from PIL import Image
 
@@ -117,10 +114,7 @@ def render(
     width, height = size
     large = (width * SAMPLING, height * SAMPLING)
     scene = picture_scene(files, large, view)
-    if arrange is not None:
-        arrange(scene)
-    else:
-        _turn_wheels(model, scene, twist, spin)
+    _turn_wheels(model, scene, twist, spin)
     points = visible_points(scene)
     with renderer(scene, large, points) as drawing:
         drawing.update_scene(scene.data, fit_camera(points, view, width / height))
@@ -411,11 +405,7 @@ class VideoRecorder:
         Call the method ``on_tick`` after each tick.
         """
         if scene.time >= len(self._positions) / self.rate - 1e-9:
-            self.store(scene)
-
-    def store(self, scene: MujocoScene) -> None:
-        """Stores the joint positions of the scene for the next picture."""
-        self._positions.append(scene.data.qpos.copy())
+            self._positions.append(scene.data.qpos.copy())
 
     def __len__(self) -> int:
         """Returns the number of pictures in the video."""

@@ -1,4 +1,4 @@
-"""Writes and reads the record of a run as CSV files, one file per robot.
+"""Writes the record of a run as CSV files, one file per robot.
 
 All values in the CSV files are in SI units.  The first column of a CSV file is ``time`` (s).
 Groups of the other columns:
@@ -16,22 +16,16 @@ An empty cell of a CSV file means that the value is unknown.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TypeVar, overload
 
 from thorvaldc.compiler.recordings import csv_table
-from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.diagnostics.files import AtomicFile
 from thorvaldc.model import Robot, wheel_joints
-from thorvaldc.model.scenario import GROUPS
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
-from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.records import joint_csv
-from thorvaldc.simulation.records.recorder import RecordedRun, SampleInterval, report_missing_robot
-
-Row = TypeVar("Row")
+from thorvaldc.simulation.records.recorder import SampleInterval
 
 _TWIST = ("vx", "vy", "wz")
 _POSE = ("x", "y", "yaw")
@@ -41,7 +35,6 @@ COLUMNS = {
     "twist": tuple(f"{twist}_{part}" for twist in ("asked", "aimed") for part in _TWIST),
 }
 """Columns of the groups that have the same columns for every robot."""
-RECORDS_ARE_WRITTEN_BY = "`thorvaldc sim --record` writes records"
 
 
 def columns(robot: Robot, groups: Sequence[str]) -> list[str]:
@@ -62,9 +55,6 @@ def columns(robot: Robot, groups: Sequence[str]) -> list[str]:
                 for q in (joint_csv.POSITION, joint_csv.POSITION_COMMAND)
             ]
     return names
-
-
-# -- writing --------------------------------------------------------------------------
 
 
 class CsvRecorder:
@@ -170,175 +160,3 @@ def _text(value: float) -> str:
     The text of a negative zero is ``0``, because other records do not keep the sign of a zero.
     """
     return f"{value + 0.0:.9g}" if math.isfinite(value) else ""
-
-
-# -- reading --------------------------------------------------------------------------
-
-
-def read_csv_record(
-    path: Path, robots: Sequence[tuple[str, Robot]], report: Report
-) -> dict[str, RecordedRun] | None:
-    """Returns the recorded runs by robot name.
-
-    ``path`` is a folder of CSV files or the CSV file of one robot.  If a file is missing or
-    invalid, the function adds the problems to ``report`` and returns ``None``.
-    """
-    display = str(path)
-    files: dict[str, Path] = {}
-    if path.is_dir():
-        recorded = sorted(file.stem for file in path.glob("*.csv"))
-        for name, _ in robots:
-            if name in recorded:
-                files[name] = path / f"{name}.csv"
-            elif len(robots) == len(recorded) == 1:
-                files[name] = path / f"{recorded[0]}.csv"
-            else:
-                report_missing_robot(name, recorded, display, report)
-    elif len(robots) == 1:
-        files = {robots[0][0]: path}
-    else:
-        report.add(
-            "record-robot",
-            f"`{display}` is the record of one robot, and there are {len(robots)}",
-            Span(display),
-            hint="name the folder with the records of all robots",
-        )
-    runs: dict[str, RecordedRun] = {}
-    for name, robot in robots:
-        if name in files:
-            run = _read_run(files[name], robot, report)
-            if run is not None:
-                runs[name] = run
-    return runs if len(runs) == len(robots) else None
-
-
-def _read_run(path: Path, robot: Robot, report: Report) -> RecordedRun | None:
-    display = str(path)
-    table = csv_table.read_table(path, display, report)
-    if table is None:
-        return None
-    groups = tuple(g for g in GROUPS if any(c in table.columns for c in columns(robot, [g])[1:]))
-    if not groups:
-        report.add(
-            "record-unreadable",
-            f"`{display}` is not a record: a record has no column "
-            f"`{next(c for c in table.columns if c != csv_table.TIME)}`",
-            Span(display, 1, 1, 1, 1),
-            hint=RECORDS_ARE_WRITTEN_BY,
-        )
-        return None
-    if not _columns_match(table, robot, groups, report):
-        return None
-    has_joints = "joints" in groups
-    return RecordedRun(
-        groups,
-        _Rows(table, lambda cells: sample_of(cells, robot, has_joints)),
-        _Rows(table, lambda cells: commands_of(cells, robot) if has_joints else None),
-    )
-
-
-class _Rows(Sequence[Row]):
-    """The rows of a table, each made from its cells when it is read.
-
-    A sample takes 1 to 2 kB, and a long record has a million of them; the table has 8 bytes for
-    each number.
-    """
-
-    def __init__(self, table: csv_table.Table, make: Callable[[Mapping[str, float]], Row]) -> None:
-        self._table = table
-        self._make = make
-
-    def __len__(self) -> int:
-        return len(self._table)
-
-    @overload
-    def __getitem__(self, index: int) -> Row: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Row]: ...
-    def __getitem__(self, index: int | slice) -> Row | list[Row]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(len(self))[index]]
-        return self._make({name: column[index] for name, column in self._table.columns.items()})
-
-
-def _columns_match(
-    table: csv_table.Table, robot: Robot, groups: Sequence[str], report: Report
-) -> bool:
-    """Checks that a CSV file has exactly the columns of the recorded groups of a robot."""
-    known = columns(robot, GROUPS)
-    unknown = next((column for column in table.columns if column not in known), None)
-    missing = next((c for c in columns(robot, groups) if c not in table.columns), None)
-    other_robot = "is it the record of another robot?"
-    if unknown is not None:
-        report.add(
-            "record-robot",
-            f"the record of {robot.name} has a column `{unknown}`",
-            table.span_of(unknown),
-            hint=did_you_mean(unknown, known, other_robot, fixable=False),
-        )
-    elif missing is not None and groups == ("joints",):
-        report.add(
-            "record-unreadable",
-            f"`{table.display}` is a joint log and not a record: it has no column `{missing}`",
-            Span(table.display, 1, 1, 1, 1),
-            hint=RECORDS_ARE_WRITTEN_BY,
-        )
-    elif missing is not None:
-        report.add(
-            "record-robot",
-            f"the record of {robot.name} has no column `{missing}`",
-            Span(table.display, 1, 1, 1, 1),
-            hint=other_robot,
-        )
-    return unknown is missing is None
-
-
-def sample_of(cells: Mapping[str, float], robot: Robot, has_joints: bool) -> Sample:
-    """Returns the sample of a record from its values by column; others are unknown."""
-
-    def twist(name: str) -> Twist:
-        return Twist(*(cells.get(f"{name}_{part}", math.nan) for part in _TWIST))
-
-    def pose(name: str) -> Pose2:
-        return Pose2(*(cells.get(f"{name}_{part}", math.nan) for part in _POSE))
-
-    time = cells[csv_table.TIME]
-    joints = None
-    if has_joints:
-        joints = JointStates(
-            time,
-            _drives(cells, robot, joint_csv.VELOCITY),
-            _steering(cells, robot, joint_csv.POSITION),
-            _steering(cells, robot, joint_csv.VELOCITY),
-            _drives(cells, robot, joint_csv.POSITION),
-        )
-    z, roll, pitch = (cells.get(f"true_{part}", math.nan) for part in ("z", "roll", "pitch"))
-    return Sample(
-        time,
-        twist("asked"),
-        twist("aimed"),
-        twist("odometry"),
-        twist("true"),
-        pose("odometry"),
-        pose("true"),
-        joints,
-        (z, roll, pitch),
-    )
-
-
-def commands_of(cells: Mapping[str, float], robot: Robot) -> JointCommands:
-    """Returns the joint commands of a record from its values by column."""
-    return JointCommands(
-        _drives(cells, robot, joint_csv.COMMAND),
-        _steering(cells, robot, joint_csv.POSITION_COMMAND),
-    )
-
-
-def _drives(cells: Mapping[str, float], robot: Robot, quantity: str) -> list[float]:
-    joints = (wheel.spin_joint if wheel.driven else "" for wheel in robot.wheels)
-    return [cells.get(joint_csv.joint_column(joint, quantity), 0.0) for joint in joints]
-
-
-def _steering(cells: Mapping[str, float], robot: Robot, quantity: str) -> list[float]:
-    joints = (wheel.steering_joint or "" for wheel in robot.wheels)
-    return [cells.get(joint_csv.joint_column(joint, quantity), 0.0) for joint in joints]

@@ -38,12 +38,6 @@ if TYPE_CHECKING:
 POSITION, VELOCITY, COMMAND = "position", "velocity", "velocity_command"
 POSITION_COMMAND = "position_command"
 """Quantities of a joint; a joint log has no commanded positions, the record of a run has."""
-_ROW_RULES = csv_table.RowRules(
-    "joint-log-value",
-    "joint-log-time",
-    "times must increase; write each run to a file of its own",
-    complete=True,
-)
 
 
 def joint_column(joint: str, quantity: str) -> str:
@@ -144,13 +138,10 @@ def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog
     If the joint log is invalid, the function adds the problems with line and column to ``report``
     and returns ``None``.  ``display`` is the name of the file for the diagnostics.
     """
-    data = csv_table.read_utf8(path, display, report)
-    if data is None:
+    header = csv_table.read_header(path, display, report)
+    if header is None or not _joints_match(header, robot, report):
         return None
-    header = _header(csv_table.first_line(data), display, report)
-    if header is None or not _joints_match(header, display, robot, report):
-        return None
-    columns = csv_table.read_columns(data, header, display, report, _ROW_RULES)
+    columns = csv_table.read_columns(header, report, complete=True)
     if columns is None:
         return None
     times = columns[csv_table.TIME]
@@ -169,59 +160,43 @@ def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog
     return JointLog(times, positions, velocities, of(drives, COMMAND), of(steering, POSITION))
 
 
-def _header(line: str, display: str, report: Report) -> list[str] | None:
-    """Returns the column names, or ``None`` if the file is not a joint log."""
-    names = csv_table.column_names(line)
-    for i, name in enumerate(names):
-        span = csv_table.cell_span(display, 1, line, i)
-        joint, _, quantity = name.rpartition(".")
-        if name in names[:i]:
-            report.add("joint-log-header", f"two columns have the name `{name}`", span)
-        elif name != csv_table.TIME and not (joint and quantity in (POSITION, VELOCITY, COMMAND)):
-            report.add(
-                "joint-log-header",
-                f"a joint log has no column `{name}`",
-                span,
-                hint="a column is `time`, or a joint and a quantity, such as "
-                "fl_drive_axle.position; quantities are position, velocity, velocity_command",
-            )
-        else:
-            continue
-        return None  # after one unknown column, this is probably another kind of file
-    if csv_table.TIME not in names:
-        report.add("joint-log-header", "the log has no column `time`", Span(display, 1, 1, 1, 1))
-        return None
-    return names
-
-
-def _joints_match(header: Sequence[str], display: str, robot: Robot, report: Report) -> bool:
-    """Checks that the joints of a joint log are the joints of the robot.
+def _joints_match(header: csv_table.Header, robot: Robot, report: Report) -> bool:
+    """Checks that the columns of a joint log are those of the joints of the robot.
 
     A joint log must contain all joints with a motor, and no joint of another robot.
     """
-    line = ",".join(header)
     known = {joint.name for joint in robot.joints}
-    logged = list(
-        dict.fromkeys(name.rpartition(".")[0] for name in header if name != csv_table.TIME)
-    )
+    logged: dict[str, str] = {}  # the first column of each joint
+    for column in header.names:
+        joint, _, quantity = column.rpartition(".")
+        if joint and quantity in (POSITION, VELOCITY, COMMAND):
+            logged.setdefault(joint, column)
+        elif column != csv_table.TIME:
+            report.add(
+                "joint-log-joint",
+                f"a joint log has no column `{column}`",
+                header.span_of(column),
+                hint="a column is `time`, or a joint and a quantity, such as "
+                "fl_drive_axle.position; quantities are position, velocity, velocity_command",
+            )
+            return False  # this is probably another kind of file
     drives, steering = wheel_joints(robot)
     needed = [*drives, *steering]
-    if logged and not known.intersection(logged):
+    if not known.intersection(logged):
         report.add(
             "joint-log-joint",
             f"{robot.name} has none of the {len(logged)} joints in the log",
-            csv_table.cell_span(display, 1, line, 1),
+            header.span_of(next(iter(logged.values()))),
             hint=f"is it the log of another robot? {robot.name} has {', '.join(needed[:3])} ..",
         )
         return False
     matches = True
-    for joint in logged:
+    for joint, column in logged.items():
         if joint not in known:
-            first = next(i for i, name in enumerate(header) if name.startswith(f"{joint}."))
             report.add(
                 "joint-log-joint",
                 f"{robot.name} has no joint `{joint}`",
-                csv_table.cell_span(display, 1, line, first),
+                header.span_of(column),
                 hint=did_you_mean(joint, needed, "is it the log of another robot?", fixable=False),
             )
             matches = False
@@ -229,11 +204,11 @@ def _joints_match(header: Sequence[str], display: str, robot: Robot, report: Rep
         *((name, (POSITION, VELOCITY)) for name in drives),
         *((name, (POSITION,)) for name in steering),
     ):
-        if not any(joint_column(name, quantity) in header for quantity in quantities):
+        if not any(joint_column(name, quantity) in header.names for quantity in quantities):
             report.add(
                 "joint-log-joint",
                 f"the log has no {' and no '.join(quantities)} of the joint `{name}`",
-                Span(display, 1, 1, 1, 1),
+                header.span,
                 hint="record every joint that has a motor",
             )
             matches = False

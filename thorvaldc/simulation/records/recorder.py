@@ -1,14 +1,12 @@
-"""The interface of recorders, the hash of a run, and the recorded run that readers return."""
+"""The interface of recorders, and the hash of a run."""
 
 from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Protocol
 
-from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.simulation.control_loop import ControlLoop, Sample, TickCallback
 
@@ -97,35 +95,3 @@ def _numbers(sample: Sample, commands: JointCommands | None) -> list[float]:
     if commands is not None:
         numbers += [*commands.speeds, *commands.angles]
     return numbers
-
-
-# -- reading ---------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class RecordedRun:
-    """The recorded samples of one robot, and the joint commands of each sample.
-
-    ``groups`` has the names of the recorded groups of values.  All values of a group that was not
-    recorded are nan or ``None``.
-    """
-
-    groups: tuple[str, ...]
-    samples: Sequence[Sample]
-    commands: Sequence[JointCommands | None]
-
-
-def report_missing_robot(name: str, recorded: Iterable[str], display: str, report: Report) -> None:
-    """Reports that a record has no robot with the name ``name``.
-
-    ``recorded`` are the names of the recorded robots.  ``display`` is the name of the record for
-    the diagnostic.
-    """
-    known = sorted(recorded)
-    names = ", ".join(known[:6]) + (" .." if len(known) > 6 else "")
-    report.add(
-        "record-robot",
-        f"`{display}` has no robot {name}",
-        Span(display),
-        hint=did_you_mean(name, known, f"it has {names}" if known else "it has no robots"),
-    )

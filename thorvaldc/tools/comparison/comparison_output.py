@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator
-from html import escape
 
 from thorvaldc.comparison.difference_text import EQUAL, headline, sections_of, summaries_of
 from thorvaldc.comparison.robot_difference import Difference
 from thorvaldc.diagnostics import text_layout
 from thorvaldc.model import Fleet, Robot
+from thorvaldc.model.facts.fact_page import escape, table_html
 from thorvaldc.model.facts.fact_tables import FactTable, fact_tables
 from thorvaldc.model.facts.robot_facts import RobotFacts
 
@@ -71,11 +71,8 @@ def _panel(difference: Difference) -> Iterator[str]:
         yield f"<p>{title}: {EQUAL}</p>"
         return
     yield f"<p>{title}. The robot before is translucent.</p>"
-    for section in sections_of(difference):
-        yield f'<details open class="difference"><summary>{escape(section.title)}</summary><table>'
-        for row in section.rows:
-            cells = (row.mark, row.name, row.text)
-            yield f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
-        yield "</table></details>"
+    for number, section in enumerate(sections_of(difference)):
+        rows = tuple((f"{row.mark} {row.name}", row.text) for row in section.rows)
+        yield table_html(FactTable(f"difference-{number}", section.title, (), rows))
     for summary in summaries_of(difference):
         yield f"<p>{escape(summary)}</p>"

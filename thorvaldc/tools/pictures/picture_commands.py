@@ -1,8 +1,7 @@
-"""The commands ``thorvaldc render``, ``replay`` and ``view``: robots and runs to look at."""
+"""The commands ``thorvaldc render`` and ``view``: robots to look at."""
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 from pathlib import Path
@@ -34,16 +33,6 @@ def render(
             help="corner, front, rear, left, right, top, or azimuth,elevation in degrees.",
         ),
     ] = "corner",
-    replay: Annotated[
-        str,
-        typer.Option("--replay", metavar="RECORD", help="Take the poses of the robots from it."),
-    ] = "",
-    at: Annotated[
-        str,
-        typer.Option(
-            "--at", metavar="TIME", help="Time in the record: 5, or '5 s'.", show_default="its end"
-        ),
-    ] = "",
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
@@ -54,13 +43,9 @@ def render(
     from thorvaldc.simulation.pictures import check_pillow
     from thorvaldc.simulation.pictures.render import choose_opengl_backend, parse_size, parse_view
     from thorvaldc.simulation.pictures.render import render as draw
-    from thorvaldc.tools.pictures.replay import arrangement
 
     pixels = options.parsed(size, parse_size, "--size")
     camera = options.parsed(view, parse_view, "--view")
-    if not replay:
-        options.refuse_options({"--at": at}, "this is a time of --replay")
-    time = options.parsed(at, parse_record_time, "--at")
     if output:
         options.check_output(output, ["png"], "--output")
     compilation = robot_file.compile_and_show(file, library, trust=trust)
@@ -70,65 +55,19 @@ def render(
     path = output or f"{model.name}.png"
     if not output:
         options.check_output(path, ["png"], "--output")
-    arrange = None
-    if replay:
-        arrange = arrangement(model, replay, time)
-        if arrange is None:
-            return INPUT
     report = Report()
     try:
         with run_outputs.picture_errors():
             check_pillow()
             choose_opengl_backend()  # before MuJoCo is imported
             files = emit(model, ["mjcf"], report)
-            picture = draw(model, files, pixels, camera, arrange=arrange)
+            picture = draw(model, files, pixels, camera)
     except DiagnosticError as error:
         report.put(error.diagnostic)
     else:
         write_file(Path(path), picture)
         print(path)
     return diagnostic_output.show_report(compilation.located(report), compilation.sources)
-
-
-def parse_record_time(text: str) -> float:
-    """Returns a time in s from the start of a recorded run, or infinity for empty text.
-
-    Raises ``ValueError`` if the text is not a time or the time is negative.
-    """
-    if not text:
-        return math.inf
-    seconds = options.parse_time(text)
-    if not seconds >= 0.0:
-        raise ValueError(f"{text!r} is before the start of the record")
-    return seconds
-
-
-def replay(
-    file: Annotated[
-        str, typer.Argument(metavar="FILE", help="The robot.yaml, fleet.yaml or scenario that ran.")
-    ],
-    source: Annotated[
-        str, typer.Argument(metavar="RECORD", help="A record of `sim --record` or `scenario`.")
-    ],
-    robot: options.ScenarioRobot = "",
-    record: Annotated[
-        str,
-        typer.Option("--record", metavar="OUT", help="Convert the record: OUT.mcap, or CSV files."),
-    ] = "",
-    plot: options.Plot = "",
-    video: options.Video = "",
-    json: options.Json = False,
-    library: options.Library = [],  # noqa: B006
-    trust: options.Trust = False,
-) -> int:
-    from thorvaldc.cli import robot_file, run_outputs
-    from thorvaldc.tools.pictures.replay import replay_run
-
-    pictures = run_outputs.RunPictures(plot, video)
-    compilation = robot_file.compile_and_show(file, library, robot or None, trust=trust)
-    if compilation.model is None:
-        return INPUT
-    return replay_run(compilation, compilation.model, source, pictures, record, json)
 
 
 def view(

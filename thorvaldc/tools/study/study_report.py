@@ -22,6 +22,7 @@ from thorvaldc.compiler.result import SourceFile
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Robot
+from thorvaldc.model.facts.fact_page import table_html
 from thorvaldc.model.facts.fact_tables import FactTable, fact_tables
 from thorvaldc.model.facts.robot_facts import fact_quantity, robot_facts
 from thorvaldc.simulation.pictures import PictureError, check_pillow
@@ -221,7 +222,11 @@ class RobotCompiler:
             before, before_modules = self._start
             difference = compare_robots(before, robot, before_modules, outline)
             differences = tuple(sections_of(difference))
-        facts = tuple(t for t in fact_tables(robot_facts(robot)) if t.key not in _LONG_TABLES)
+        facts = tuple(
+            replace(table, key=f"robot-{number}-{table.key}")
+            for table in fact_tables(robot_facts(robot))
+            if table.key not in _LONG_TABLES
+        )
         return ReportRobot(number, self._picture(robot), facts, differences)
 
     def _picture(self, robot: Robot) -> str:
@@ -301,6 +306,7 @@ def study_report(
         sensitivity=sensitivity,
         data=_script_json(_data(content, sensitivity)),
         scripts=(plotly, script),
+        table_html=table_html,
         hashes=[_hash(text) for text in (plotly, script)],
     )
 
