@@ -14,9 +14,8 @@ from pathlib import Path
 import typer
 
 from thorvaldc.can.open_interface import bus_lock, open_interface
-from thorvaldc.cli.command import check_full_installation
 from thorvaldc.cli.diagnostic_output import message, report_of
-from thorvaldc.cli.exits import INPUT
+from thorvaldc.cli.exits import INPUT, check_full_installation
 from thorvaldc.cli.options import refuse_options
 from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.robot_file import is_hardware, load_robot, select_bus

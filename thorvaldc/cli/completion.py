@@ -28,8 +28,9 @@ def is_completion() -> bool:
 
 
 @contextlib.contextmanager
-def shell_completion() -> Iterator[None]:
-    """Adapts the answer of typer to the shell that asks for a completion.
+def shell_completion() -> Iterator[list[str]]:
+    """Adapts the answer of typer to the shell that asks for a completion, and yields the words of
+    the command line.
 
     bash splits words at ``=`` and ``:``, and replaces only the part after them.
     """
@@ -44,7 +45,7 @@ def shell_completion() -> Iterator[None]:
     answer = io.StringIO()
     try:
         with contextlib.redirect_stdout(answer):
-            yield
+            yield (os.environ.get("COMP_WORDS") or os.environ["_TYPER_COMPLETE_ARGS"]).split()[1:]
     finally:
         for line in answer.getvalue().splitlines():
             print(line.removeprefix(prefix))

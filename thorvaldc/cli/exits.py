@@ -12,6 +12,7 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -32,6 +33,29 @@ TRACEBACK_VARIABLE = "THORVALDC_TRACEBACK"
 
 class OutsideError(Exception):
     """A failure of a disk, a display, a CAN bus or an installation, with a message on one line."""
+
+
+# Both packages contain the same files, so a computer must not have both.
+RUNTIME_ALONE = (
+    "this installation is the runtime alone; to replace it: `pip uninstall thorvaldc-runtime`, then"
+    " `pip install` with the path of the wheel or the checkout of thorvaldc"
+)
+
+
+def is_runtime_only() -> bool:
+    """Returns whether only the package ``thorvaldc-runtime`` is installed, for the computer of a
+    robot.
+
+    It has the rooms ``runtime``, ``can``, ``commissioning``, ``model``, ``diagnostics`` and
+    ``cli``, and the tools ``monitor``, ``service_calls`` and ``teleoperation``.
+    """
+    return find_spec("thorvaldc.compiler") is None
+
+
+def check_full_installation(feature: str) -> None:
+    """Raises ``OutsideError`` if only the runtime package is installed."""
+    if is_runtime_only():
+        raise OutsideError(f"{feature} is not available: {RUNTIME_ALONE}")
 
 
 class Terminated(KeyboardInterrupt):

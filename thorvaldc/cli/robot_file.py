@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
-from thorvaldc.cli.command import is_runtime_only
 from thorvaldc.cli.diagnostic_output import message, report_of, show_report
-from thorvaldc.cli.exits import OutsideError
+from thorvaldc.cli.exits import OutsideError, is_runtime_only
 from thorvaldc.cli.options import library_folders
 from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Bus, Fleet, Robot

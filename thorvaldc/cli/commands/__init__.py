@@ -1,4 +1,1 @@
-"""The commands of the core.
-
-The module ``cli/command.py`` has their table.
-"""
+"""The commands of the core; ``cli/main.py`` has their table."""

@@ -156,7 +156,7 @@ def _candidates(
 
 def _robot_files(files: Sequence[str]) -> Iterator[Path]:
     """Yields the files that the user names, and in folders the robot files before the models."""
-    from thorvaldc.cli.command import is_runtime_only
+    from thorvaldc.cli.exits import is_runtime_only
 
     for file in files:
         path = Path(file)

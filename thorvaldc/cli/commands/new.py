@@ -12,7 +12,6 @@ import typer
 
 from thorvaldc.cli.completion import preset_names, schema_kinds
 from thorvaldc.cli.exits import DONE
-from thorvaldc.schema import KINDS
 
 MODEL = "model"
 PRESET, NAME = "4wd4ws", "my_robot"
@@ -139,12 +138,12 @@ def schema(
         typer.Argument(
             metavar="KIND",
             autocompletion=schema_kinds,
-            help=f"{', '.join(KINDS)}; model: model.json.",
+            help="Kind of document: robot, fleet, module, scenario, ...; model: model.json.",
         ),
     ],
 ) -> int:
     from thorvaldc.model.model_json import model_schema_text
-    from thorvaldc.schema import schema_text
+    from thorvaldc.schema import KINDS, schema_text
 
     if kind not in (*KINDS, MODEL):
         kinds = ", ".join((*KINDS, MODEL))

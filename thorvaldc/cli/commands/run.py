@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thorvaldc.cli import options
-from thorvaldc.cli.command import check_full_installation
 from thorvaldc.cli.completion import bus_interfaces
-from thorvaldc.cli.exits import INPUT, OutsideError
+from thorvaldc.cli.exits import INPUT, OutsideError, check_full_installation
 
 if TYPE_CHECKING:
     from thorvaldc.can.frame import CanInterface

@@ -232,7 +232,7 @@ def _open(
 ) -> tuple[Mapping[str, CanInterface], Operator]:
     """Returns the CAN interface of each bus, and the operator."""
     from thorvaldc.can.open_interface import lock_buses, open_interfaces
-    from thorvaldc.cli.command import check_full_installation
+    from thorvaldc.cli.exits import check_full_installation
     from thorvaldc.cli.robot_file import is_hardware, warn_once
     from thorvaldc.tools.commission.console_operator import ConsoleOperator
 

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from thorvaldc.cli import completion, options
-from thorvaldc.cli.command import check_full_installation
-from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError, check_full_installation
 from thorvaldc.diagnostics.installation import install_command
 
 if TYPE_CHECKING:
