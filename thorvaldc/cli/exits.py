@@ -16,6 +16,7 @@ from importlib.util import find_spec
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TextIO
 
+from thorvaldc.diagnostics import OutsideError as OutsideError
 from thorvaldc.tool_folders import PluginError
 
 if TYPE_CHECKING:
@@ -29,10 +30,6 @@ DONE, INPUT, USAGE, OUTSIDE, INTERNAL = 0, 1, 2, 3, 70
 INTERRUPTED, BROKEN_PIPE, TERMINATED = 130, 141, 143
 
 TRACEBACK_VARIABLE = "THORVALDC_TRACEBACK"
-
-
-class OutsideError(Exception):
-    """A failure of a disk, a display, a CAN bus or an installation, with a message on one line."""
 
 
 # Both packages contain the same files, so a computer must not have both.

@@ -14,7 +14,7 @@ import typer
 
 from thorvaldc.cli import options
 from thorvaldc.cli.completion import target_names
-from thorvaldc.cli.exits import DONE, OutsideError
+from thorvaldc.cli.exits import DONE
 
 if TYPE_CHECKING:
     from thorvaldc.compiler.result import Compilation
@@ -101,9 +101,9 @@ def build(
         shown.add(compilation.report, compilation.sources)
         try:
             _write(compilation, model, contents, folder)
-        except WriteError as error:
+        except WriteError:
             shown.finish(builds=builds)
-            raise OutsideError(str(error)) from error
+            raise
         for path in pinned_locks:
             shown.result(f"{os.path.normpath(path)}: automatic ids are pinned")
         shown.result(f"{folder}: {count(len(contents), 'file')} ({', '.join(targets)})")

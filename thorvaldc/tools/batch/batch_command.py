@@ -56,13 +56,12 @@ def batch(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output, simulation_runs
+    from thorvaldc.cli import diagnostic_output
+    from thorvaldc.cli.commands.sim import plan_runs
     from thorvaldc.simulation.worker_processes import processors
     from thorvaldc.tools.batch import scenario_batch
 
-    planned = simulation_runs.plan_runs(
-        file, settings, draws, seed, from_document=variations or not settings
-    )
+    planned = plan_runs(file, settings, draws, seed, from_document=variations or not settings)
     if planned is None:
         return INPUT
     gc.enable()

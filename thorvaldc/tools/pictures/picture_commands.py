@@ -47,7 +47,7 @@ def render(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output, robot_file, run_outputs
+    from thorvaldc.cli import diagnostic_output, robot_file
     from thorvaldc.compiler.pipeline import emit
     from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.diagnostics.files import write_file
@@ -77,11 +77,10 @@ def render(
             return INPUT
     report = Report()
     try:
-        with run_outputs.picture_errors():
-            check_pillow()
-            choose_opengl_backend()  # before MuJoCo is imported
-            files = emit(model, ["mjcf"], report)
-            picture = draw(model, files, pixels, camera, arrange=arrange)
+        check_pillow()
+        choose_opengl_backend()  # before MuJoCo is imported
+        files = emit(model, ["mjcf"], report)
+        picture = draw(model, files, pixels, camera, arrange=arrange)
     except DiagnosticError as error:
         report.put(error.diagnostic)
     else:
@@ -124,7 +123,7 @@ def replay(
     from thorvaldc.cli import robot_file, run_outputs
     from thorvaldc.tools.pictures.replay import replay_run
 
-    pictures = run_outputs.RunPictures(plot, video)
+    pictures = run_outputs.RunOutputs(plot, video)
     compilation = robot_file.compile_and_show(file, library, robot or None, trust=trust)
     if compilation.model is None:
         return INPUT

@@ -214,7 +214,7 @@ def replay_run(
     compilation: Compilation,
     model: Robot | Fleet,
     source: str,
-    pictures: run_outputs.RunPictures,
+    pictures: run_outputs.RunOutputs,
     record: str,
     json: bool,
 ) -> int:
