@@ -41,7 +41,7 @@ class CommandEntry(NamedTuple):
     target: str
     help: str
     hidden: bool = False
-    package: str = "thorvaldc.cli.commands"
+    package: str = "thorvaldc.cli"
 
     @property
     def group(self) -> str:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import gc
 import importlib.util
+import io
+import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import SimpleNamespace
 from typing import Annotated, Any, ParamSpec
 
@@ -16,42 +19,59 @@ from typer.main import get_command
 
 from thorvaldc import __version__, tool_folders
 from thorvaldc.cli import exits
-from thorvaldc.cli.completion import is_completion, shell_completion
 from thorvaldc.tool_folders import CommandEntry
 
 P = ParamSpec("P")
 CORE: tuple[CommandEntry, ...] = (
-    CommandEntry("new", "new:new", "Make a folder with a robot.yaml to start from."),
-    CommandEntry("check", "check:check", "Report every error in robot and fleet files."),
-    CommandEntry("build", "build:build", "Compile robots and write the target files."),
-    CommandEntry("sim", "sim:sim", "Drive a robot in simulation, without a display."),
-    CommandEntry("scenario", "sim:scenario", "Run a scenario and check its expectations."),
-    CommandEntry("run", "run:run", "Run the base driver on a real or simulated CAN bus."),
-    CommandEntry("bus", "bus:bus", "Simulate a robot's CAN bus for other programs."),
+    CommandEntry("new", "library_commands:new", "Make a folder with a robot.yaml to start from."),
+    CommandEntry("check", "file_commands:check", "Report every error in robot and fleet files."),
+    CommandEntry("build", "file_commands:build", "Compile robots and write the target files."),
+    CommandEntry(
+        "sim", "simulation_commands:sim", "Drive a robot in simulation, without a display."
+    ),
+    CommandEntry(
+        "scenario", "simulation_commands:scenario", "Run a scenario and check its expectations."
+    ),
+    CommandEntry(
+        "run", "driver_commands:run", "Run the base driver on a real or simulated CAN bus."
+    ),
+    CommandEntry("bus", "driver_commands:bus", "Simulate a robot's CAN bus for other programs."),
     CommandEntry("can", "", "Set up, check and monitor a robot's CAN bus."),
     CommandEntry(
-        "can scan", "can:scan", "Find the nodes on a bus and compare them with the robot."
+        "can scan", "can_commands:scan", "Find the nodes on a bus and compare them with the robot."
     ),
     CommandEntry(
-        "can plan", "can:plan", "Show the steps that would set up the bus; writes nothing."
+        "can plan", "can_commands:plan", "Show the steps that would set up the bus; writes nothing."
     ),
-    CommandEntry("can flash", "can:flash", "Write addresses and values to the nodes, verified."),
     CommandEntry(
-        "can identify", "identify:identify", "Find the file of the robot that is on a bus."
+        "can flash", "can_commands:flash", "Write addresses and values to the nodes, verified."
     ),
-    CommandEntry("can verify", "can:verify", "Check identities, values, periods and bus load."),
+    CommandEntry(
+        "can identify", "identify_command:identify", "Find the file of the robot that is on a bus."
+    ),
+    CommandEntry(
+        "can verify", "can_commands:verify", "Check identities, values, periods and bus load."
+    ),
     CommandEntry("modules", "", "List, show, check and make hardware modules."),
-    CommandEntry("modules list", "modules:list_modules", "List the module types."),
+    CommandEntry("modules list", "library_commands:list_modules", "List the module types."),
     CommandEntry(
         "modules show",
-        "modules:show_module",
+        "library_commands:show_module",
         "Show a module type: parameters, ports, sources of its numbers.",
     ),
-    CommandEntry("modules check", "modules:check_modules", "Check the modules in folders."),
-    CommandEntry("modules new", "modules:new_module", "Make a module with a mesh to start from."),
-    CommandEntry("targets", "build:targets", "List the targets that a robot can be built for."),
-    CommandEntry("schema", "new:schema", "Print the JSON Schema of a kind of document."),
-    CommandEntry("explain", "check:explain", "Explain a diagnostic code."),
+    CommandEntry(
+        "modules check", "library_commands:check_modules", "Check the modules in folders."
+    ),
+    CommandEntry(
+        "modules new", "library_commands:new_module", "Make a module with a mesh to start from."
+    ),
+    CommandEntry(
+        "targets", "file_commands:targets", "List the targets that a robot can be built for."
+    ),
+    CommandEntry(
+        "schema", "library_commands:schema", "Print the JSON Schema of a kind of document."
+    ),
+    CommandEntry("explain", "file_commands:explain", "Explain a diagnostic code."),
 )
 """The commands of the core, in the order of ``thorvaldc --help``; those of the tools follow."""
 PLUGINS = "thorvaldc.commands"
@@ -156,6 +176,68 @@ def click_command(name: str) -> Any:
     for word in name.split():
         command = command.commands[word]
     return command
+
+
+# -- completion in the shells bash, zsh and fish, whose scripts typer generates --
+
+COMPLETE_VARIABLE = "_THORVALDC_COMPLETE"
+
+
+def is_completion() -> bool:
+    """Returns whether a shell asks for the completion of a command line."""
+    return os.environ.get(COMPLETE_VARIABLE, "").startswith("complete_")
+
+
+@contextlib.contextmanager
+def shell_completion() -> Iterator[list[str]]:
+    """Adapts the answer of typer to the shell that asks for a completion, and yields the words of
+    the command line.
+
+    bash splits words at ``=`` and ``:``, and replaces only the part after them.
+    """
+    # typer formats help texts with rich if rich is installed. Its import takes 100 ms.
+    sys.modules.setdefault("rich", None)  # type: ignore[arg-type]
+    prefix = ""
+    if os.environ[COMPLETE_VARIABLE] == "complete_bash":
+        words, number, prefix = joined_words(
+            os.environ.get("COMP_WORDS", "").split(), int(os.environ.get("COMP_CWORD", "0"))
+        )
+        os.environ["COMP_WORDS"], os.environ["COMP_CWORD"] = "\n".join(words), str(number)
+    answer = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(answer):
+            yield (os.environ.get("COMP_WORDS") or os.environ["_TYPER_COMPLETE_ARGS"]).split()[1:]
+    finally:
+        for line in answer.getvalue().splitlines():
+            print(line.removeprefix(prefix))
+
+
+def joined_words(words: Sequence[str], number: int) -> tuple[list[str], int, str]:
+    """Joins the words of a command line that bash has split at ``=`` and ``:``.
+
+    Returns the words, the index of the incomplete word, and the part of the incomplete word that
+    bash does not replace.  An option and its value, as in ``--bus=sim:a``, remain two words.
+    """
+    words = list(words[: number + 1])
+    if number >= len(words):  # the incomplete word is empty
+        words.append("")
+    joined: list[str] = []
+    prefix = ""
+    glued = False
+    for word in words:
+        if word in ("=", ":") and joined:
+            if word == "=" and joined[-1].startswith("--"):
+                joined.append("")
+            else:
+                joined[-1] += word
+            prefix, glued = joined[-1], True
+        elif glued:
+            joined[-1] += word
+            glued = False
+        else:
+            joined.append(word)
+            prefix = ""
+    return joined, len(joined) - 1, prefix
 
 
 # -- the entry point -----------------------------------------------------------------

@@ -12,10 +12,9 @@ from pathlib import Path
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import message
+from thorvaldc.cli.diagnostic_output import Progress, message
 from thorvaldc.cli.exits import OutsideError, closing_when_terminated
 from thorvaldc.cli.options import check_output
-from thorvaldc.cli.progress import Progress
 from thorvaldc.diagnostics.files import AtomicFile
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.simulation.control_loop import ControlLoop, Sample, TickCallback

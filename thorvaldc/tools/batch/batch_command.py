@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thorvaldc.cli import completion, options
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def batch(
         typer.Option(
             "--set",
             metavar="PATH=VALUES",
-            autocompletion=completion.scenario_variables,
+            autocompletion=options.scenario_variables,
             help="Replace values of the scenario: world.friction=0.3,0.6 makes a run with each"
             " value, =0.3..0.9 draws values from the range.",
             show_default=False,
@@ -57,7 +57,7 @@ def batch(
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli import diagnostic_output
-    from thorvaldc.cli.commands.sim import plan_runs
+    from thorvaldc.cli.simulation_commands import plan_runs
     from thorvaldc.simulation.worker_processes import processors
     from thorvaldc.tools.batch import scenario_batch
 
@@ -98,7 +98,7 @@ def _collect_runs(
     written.
     """
     from thorvaldc.cli import diagnostic_output
-    from thorvaldc.cli.progress import Progress
+    from thorvaldc.cli.diagnostic_output import Progress
     from thorvaldc.tools.batch import scenario_batch
 
     runs: list[Run] = []

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thorvaldc.cli import options
-from thorvaldc.cli.completion import bus_interfaces
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.options import bus_interfaces
 
 if TYPE_CHECKING:
     from thorvaldc.can.frame import CanInterface
@@ -244,7 +244,7 @@ def _open(
             warn_once()
         return interfaces, ConsoleOperator(robot)
     check_full_installation("`--bus virtual`")
-    from thorvaldc.cli.virtual_robot import read_store
+    from thorvaldc.cli.robot_file import read_store
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot, write_memory
     from thorvaldc.tools.commission.simulated_operator import SimulatedOperator
 
@@ -261,7 +261,7 @@ def _open(
 
 def _offer_calibration(path: Path, text: str, *, asks: bool) -> None:
     """Shows the measured zeros, and writes a calibration file if the operator agrees."""
-    from thorvaldc.cli.bus_access import agrees
+    from thorvaldc.cli.can_commands import agrees
     from thorvaldc.cli.diagnostic_output import message
     from thorvaldc.commissioning.commission_report import SUFFIX
     from thorvaldc.diagnostics.files import write_file

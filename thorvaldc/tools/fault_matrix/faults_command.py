@@ -25,7 +25,7 @@ def faults(
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli import diagnostic_output, robot_file
-    from thorvaldc.cli.progress import Progress
+    from thorvaldc.cli.diagnostic_output import Progress
     from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.simulation.worker_processes import processors
     from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix, markdown, matrix_json

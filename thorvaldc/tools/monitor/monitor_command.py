@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thorvaldc.cli import completion, options
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def monitor(
         typer.Option(
             "--bus",
             metavar="BUS",
-            autocompletion=completion.bus_interfaces,
+            autocompletion=options.bus_interfaces,
             help="sim:NAME, slcan:PORT, socketcan:can0, udp, or INTERFACE:CHANNEL of python-can;"
             " for a robot with several buses NAME=BUS.",
         ),

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli import completion, options
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 
@@ -30,7 +30,7 @@ def render(
         typer.Option(
             "--view",
             metavar="VIEW",
-            autocompletion=completion.view_names,
+            autocompletion=options.view_names,
             help="corner, front, rear, left, right, top, or azimuth,elevation in degrees.",
         ),
     ] = "corner",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thorvaldc.cli import completion, options
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError, check_full_installation
 from thorvaldc.diagnostics.installation import install_command
 
@@ -32,7 +32,7 @@ def teleop(
         typer.Option(
             "--on",
             metavar="BASE",
-            autocompletion=completion.base_names,
+            autocompletion=options.base_names,
             help="sim: MuJoCo; ideal: ideal joints; virtual: a simulated bus; or a bus as for"
             " `run --bus`.",
         ),
@@ -42,7 +42,7 @@ def teleop(
         typer.Option(
             "--to",
             metavar="NAME",
-            autocompletion=completion.driver_names,
+            autocompletion=options.driver_names,
             help="Drive the running driver of this name.",
         ),
     ] = "",
@@ -155,7 +155,7 @@ def _simulated_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicl
     from thorvaldc.runtime.driven_robot import DrivenRobot
 
     check_full_installation(f"`--on {on}`")
-    from thorvaldc.cli.virtual_robot import make_mujoco_base
+    from thorvaldc.cli.robot_file import make_mujoco_base
     from thorvaldc.simulation.physics.sim_base import SimBase
 
     base = make_mujoco_base(robot, file, Report()) if on == "sim" else SimBase(robot)
@@ -170,7 +170,7 @@ def _bus_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicle:
 
     if on == "virtual":
         check_full_installation("`--on virtual`")
-        from thorvaldc.cli.virtual_robot import start_virtual_robot
+        from thorvaldc.cli.robot_file import start_virtual_robot
 
         simulated = start_virtual_robot(robot, file, "ideal", "", None, Report())
         interfaces = {bus.name: simulated.interface(bus.name, fifo=True) for bus in robot.buses}

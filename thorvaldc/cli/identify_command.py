@@ -9,11 +9,22 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thorvaldc.cli import options
+from thorvaldc.cli.diagnostic_output import (
+    Progress,
+    message,
+    print_json,
+    report_of,
+    show_report,
+    table_width,
+)
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.robot_file import is_hardware, read_robot_file
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.diagnostics.files import read_bounded
 
 if TYPE_CHECKING:
     from thorvaldc.commissioning.identify import Candidate, Match
+
 
 _LARGEST = 1_000_000
 """Size in bytes of the files in a folder that are read."""
@@ -48,13 +59,9 @@ def identify(
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.can.open_interface import bus_lock, open_interface
-    from thorvaldc.cli.bus_access import UNTESTED
-    from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show_report
-    from thorvaldc.cli.progress import Progress
-    from thorvaldc.cli.robot_file import is_hardware
+    from thorvaldc.cli.can_commands import UNTESTED
     from thorvaldc.commissioning.identify import identify as identify_robot
     from thorvaldc.commissioning.identify import only_listens
-    from thorvaldc.diagnostics import DiagnosticError
 
     head, equals, tail = bus.partition("=")
     # The name of a socket may contain `=`, as in `sim:./a=b`.
@@ -95,7 +102,6 @@ def identify(
 
 
 def _print(matches: Sequence[Match]) -> None:
-    from thorvaldc.cli.diagnostic_output import table_width
     from thorvaldc.commissioning.identify import match_table, verdict
 
     print(match_table(matches, table_width()))
@@ -115,8 +121,6 @@ def _candidates(
 
     Raises ``typer.BadParameter`` if there are none.
     """
-    from thorvaldc.cli.diagnostic_output import message
-    from thorvaldc.cli.robot_file import read_robot_file
     from thorvaldc.commissioning.bus_configuration import configuration_of
     from thorvaldc.commissioning.identify import Candidate
     from thorvaldc.model import Robot

@@ -12,18 +12,21 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thorvaldc.cli import options
+from thorvaldc.cli.diagnostic_output import message, print_json, show_report, table_width
 from thorvaldc.cli.exits import INPUT
+from thorvaldc.cli.robot_file import compile_and_show
+from thorvaldc.diagnostics import DiagnosticError, Report
 
 if TYPE_CHECKING:
     from thorvaldc.cli.run_outputs import RunOutputs
     from thorvaldc.compiler.result import Compilation
     from thorvaldc.compiler.scenario.variations import Change, Variations
-    from thorvaldc.diagnostics import Report
     from thorvaldc.model import Fleet, Robot
     from thorvaldc.model.scenario import Scenario
     from thorvaldc.runtime.se2 import Twist
     from thorvaldc.simulation.scenario_run import ScenarioResult
     from thorvaldc.simulation.simulation_result import SimulationResult
+
 
 TWIST_DURATION = 5.0
 """Duration in s of a run with a twist and without the option ``--duration``."""
@@ -63,7 +66,6 @@ def sim(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli.robot_file import compile_and_show
     from thorvaldc.cli.run_outputs import RunOutputs
     from thorvaldc.runtime.se2 import parse_twist
 
@@ -118,7 +120,6 @@ def scenario(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli.robot_file import compile_and_show
     from thorvaldc.cli.run_outputs import RunOutputs
 
     changes: Sequence[Change] = ()
@@ -150,9 +151,7 @@ def _run_scenario(
     junit: str = "",
 ) -> int:
     """Runs a scenario, prints its result and returns the exit status."""
-    from thorvaldc.cli.diagnostic_output import show_report, table_width
     from thorvaldc.compiler.pipeline import emit
-    from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.diagnostics.files import write_file
     from thorvaldc.simulation import scenario_run
 
@@ -198,10 +197,8 @@ def _run_drive(
     - ``twist``: commanded twist, or ``None`` for the demonstration manoeuvre of the robot.
     - ``duration``: duration in s, or 0 for the default duration.
     """
-    from thorvaldc.cli.diagnostic_output import message, show_report, table_width
     from thorvaldc.cli.run_outputs import call_all
     from thorvaldc.compiler.pipeline import emit
-    from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.model.scenario import GROUPS, SensorSettings
     from thorvaldc.model.sensor_numbers import not_simulated
     from thorvaldc.simulation.records.recorder import record_ticks
@@ -251,8 +248,6 @@ def _show(
     text: str,
 ) -> int:
     """Prints a result as text, or as JSON if the text is empty, and returns the exit status."""
-    from thorvaldc.cli.diagnostic_output import print_json, show_report
-
     if text:
         print(text)
     else:
@@ -269,9 +264,7 @@ def plan_runs(
     scenario file has errors, the function prints the errors and returns ``None``. Raises
     ``typer.BadParameter`` if an option ``--set`` is wrong or no value of the scenario varies.
     """
-    from thorvaldc.cli.diagnostic_output import show_report
     from thorvaldc.compiler.scenario.variations import plan_variations
-    from thorvaldc.diagnostics import Report
 
     for text in settings:
         path, equals, _ = text.partition("=")

@@ -1,1 +1,0 @@
-"""The commands of the core; ``cli/main.py`` has their table."""
