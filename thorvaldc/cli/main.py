@@ -143,6 +143,9 @@ def program(words: Sequence[str]) -> typer.Typer:
 
 
 def _named_by(words: Sequence[str]) -> list[CommandEntry]:
+    core = [entry for entry in CORE if entry.name in words[:1] and entry.target]
+    if core:
+        return core
     entries = all_commands()
     named = [entry for entry in entries if entry.name.split()[0] in words[:1]]
     return named or [*entries, *plugin_commands()]
