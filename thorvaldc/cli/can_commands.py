@@ -24,8 +24,14 @@ from thorvaldc.cli.diagnostic_output import (
     report_of,
     table_width,
 )
-from thorvaldc.cli.exits import DONE, INPUT, OutsideError, check_full_installation
-from thorvaldc.cli.robot_file import is_hardware, load_robot, path_beside, read_store, select_bus
+from thorvaldc.cli.exits import DONE, INPUT, check_full_installation, write_errors
+from thorvaldc.cli.robot_file import (
+    is_hardware,
+    load_robot,
+    path_beside,
+    select_bus,
+    simulated_devices,
+)
 from thorvaldc.diagnostics import DiagnosticError
 
 if TYPE_CHECKING:
@@ -108,7 +114,7 @@ def verify(
 
     def work(access: BusAccess) -> int:
         verification = verify_bus(
-            access.master, access.configuration, access.bus, access.show_progress
+            access.master, access.configuration, access.bus, access.bar.show_activity
         )
         access.bar.clear()
         if exchange := access.exchange(verification.scan):
@@ -223,7 +229,7 @@ def _write(
             Journal(journal_file),
             operator=access.operator(yes),
             progress=access.show_step,
-            scanning=access.show_progress,
+            scanning=access.bar.show_activity,
         )
         if plan is not None:
             result = flash.apply(expected_hash or plan.hash)
@@ -245,10 +251,8 @@ def _write(
 def _opened(path: Path) -> JournalFile:
     from thorvaldc.commissioning.journal import JournalFile
 
-    try:
+    with write_errors(path):
         return JournalFile(path)
-    except OSError as error:
-        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
 
 
 def _show_result(json: bool, plan: Plan, result: str) -> int:
@@ -286,7 +290,7 @@ class BusAccess:
     def scanner(self) -> Scanner:
         from thorvaldc.commissioning.scanner import Scanner
 
-        return Scanner(self.master, self.configuration, self.show_progress)
+        return Scanner(self.master, self.configuration, self.bar.show_activity)
 
     def make_plan(self) -> Plan:
         """Scans the CAN bus and returns the steps that commission the bus.
@@ -319,17 +323,13 @@ class BusAccess:
             return self.virtual_operator
         return None if unattended else ConsoleOperator()
 
-    def show_progress(self, activity: str, number: int, total: int) -> None:
-        self.bar.label, self.bar.total = f"{activity} ", float(max(total, 1))
-        self.bar.show(float(number))
-
     def show_step(self, number: int, total: int, step: PlanStep, is_verified: bool) -> None:
         self.bar.clear()
         description = f"{number + 1}/{total} {step.description}"
         if is_verified:
             message(f"{description}: verified")
         elif self.bar.active:
-            self.show_progress(description, number, total)
+            self.bar.show_activity(description, number, total)
 
 
 def with_bus(
@@ -394,29 +394,21 @@ def _open_virtual_bus(robot: Robot, bus: Bus, name: str, store: str) -> Iterator
             f"{name!r} is neither virtual nor virtual:delivered", param_hint="'--bus'"
         )
     check_full_installation("`--bus virtual`")
+    # The runtime package does not contain the simulation.
     from thorvaldc.commissioning.bus_configuration import configuration_of
     from thorvaldc.commissioning.bus_master import BusMaster
-    from thorvaldc.simulation.bus import simulated_robot
+    from thorvaldc.simulation.bus.simulated_robot import VirtualOperator
 
-    memory = read_store(store, robot)
-    simulated = simulated_robot.SimulatedRobot(
-        robot, delivered=variant == "delivered", nonvolatile=memory
-    )
-    simulated.power_on()
-    simulated.run(0.2)
-    interface = simulated.interface(bus.name, receive_limit=100_000)
-    try:
+    with simulated_devices(robot, store, delivered=variant == "delivered") as simulated:
+        interface = simulated.interface(bus.name, receive_limit=100_000)
         yield BusAccess(
             robot,
             bus,
             configuration_of(robot, bus),
             BusMaster(interface, bus),
             Progress(1.0, ""),
-            simulated_robot.VirtualOperator(simulated),
+            VirtualOperator(simulated),
         )
-    finally:
-        if store:
-            simulated_robot.write_memory(Path(store), simulated)
 
 
 class ConsoleOperator:

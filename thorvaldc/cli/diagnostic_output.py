@@ -200,6 +200,11 @@ class Progress:
             self._shown_percent = percent
             print(f"\r{self.line(value)}", end="", file=sys.stderr, flush=True)
 
+    def show_activity(self, activity: str, number: int, total: int) -> None:
+        """Shows how much of an activity is done, such as the requests of a scan."""
+        self.label, self.total = f"{activity} ", float(max(total, 1))
+        self.show(float(number))
+
     def line(self, value: float) -> str:
         """Returns the progress bar for ``value`` of the total as text.
 

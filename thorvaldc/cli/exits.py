@@ -13,6 +13,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -30,6 +31,15 @@ DONE, INPUT, USAGE, OUTSIDE, INTERNAL = 0, 1, 2, 3, 70
 INTERRUPTED, BROKEN_PIPE, TERMINATED = 130, 141, 143
 
 TRACEBACK_VARIABLE = "THORVALDC_TRACEBACK"
+
+
+@contextmanager
+def write_errors(path: str | Path) -> Iterator[None]:
+    """Converts the exception for an unwritable file to ``OutsideError``."""
+    try:
+        yield
+    except OSError as error:
+        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
 
 
 # Both packages contain the same files, so a computer must not have both.

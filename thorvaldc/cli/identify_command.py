@@ -77,16 +77,11 @@ def identify(
     if why := only_listens(candidates):
         message(f"no request is sent, because it could be a command for a drive: {why}")
     bar = Progress(1.0, "")
-
-    def show_progress(activity: str, number: int, total: int) -> None:
-        bar.label, bar.total = f"{activity} ", float(max(total, 1))
-        bar.show(float(number))
-
     try:
         with bus_lock(interface_name):
             interface = open_interface(interface_name, candidates[0].bus)
             try:
-                matches = identify_robot(interface, candidates, show_progress)
+                matches = identify_robot(interface, candidates, bar.show_activity)
             finally:
                 bar.clear()
                 interface.close()

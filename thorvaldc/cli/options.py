@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-from thorvaldc.cli.exits import OutsideError
+from thorvaldc.cli.exits import OutsideError, write_errors
 
 T = TypeVar("T")
 
@@ -399,8 +399,5 @@ def check_output(path: str, suffixes: Sequence[str], option: str) -> None:
         raise typer.BadParameter(f"{path!r} does not end in {known}", param_hint=f"'{option}'")
     if target.is_dir():
         raise OutsideError(f"cannot write {path}: it is a folder")
-    try:
-        with tempfile.TemporaryFile(dir=target.parent):
-            pass
-    except OSError as error:
-        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
+    with write_errors(path), tempfile.TemporaryFile(dir=target.parent):
+        pass

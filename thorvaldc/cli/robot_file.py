@@ -4,7 +4,8 @@ that ``--bus`` selects, or simulated in the process of the command."""
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -223,6 +224,26 @@ def virtual_robot(
     if script is not None:
         FaultInjector(simulated, script, show_fault or _show_injected_fault)
     return simulated
+
+
+@contextmanager
+def simulated_devices(
+    robot: Robot, store: str, *, delivered: bool = False
+) -> Iterator[SimulatedRobot]:
+    """Yields a simulated robot that stands and has power, for the commissioning of its devices.
+
+    ``store``: file with the non-volatile memory of the devices, which is written at the end.
+    """
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot, write_memory
+
+    simulated = SimulatedRobot(robot, delivered=delivered, nonvolatile=read_store(store, robot))
+    simulated.power_on()
+    simulated.run(0.2)
+    try:
+        yield simulated
+    finally:
+        if store:
+            write_memory(Path(store), simulated)
 
 
 def make_mujoco_base(robot: Robot, file: str, report: Report) -> MujocoBase:

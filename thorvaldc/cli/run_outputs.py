@@ -13,7 +13,7 @@ from pathlib import Path
 import typer
 
 from thorvaldc.cli.diagnostic_output import Progress, message
-from thorvaldc.cli.exits import OutsideError, closing_when_terminated
+from thorvaldc.cli.exits import OutsideError, closing_when_terminated, write_errors
 from thorvaldc.cli.options import check_output
 from thorvaldc.diagnostics.files import AtomicFile
 from thorvaldc.model import Fleet, Robot
@@ -129,16 +129,6 @@ def call_all(watches: Sequence[TickCallback]) -> TickCallback:
             call(loop)
 
     return watch
-
-
-@contextmanager
-def write_errors(path: str) -> Iterator[None]:
-    """Converts the exception for an unwritable file to ``OutsideError``."""
-    try:
-        yield
-    except OSError as error:
-        name = error.filename or path
-        raise OutsideError(f"cannot write {name}: {error.strerror or error}") from None
 
 
 class RunOutputs:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thorvaldc.cli import options
-from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError, write_errors
 
 if TYPE_CHECKING:
     from thorvaldc.tools.batch.scenario_batch import Batch, ResultFile, Run
@@ -74,10 +74,8 @@ def batch(
     failed_compilation = planned_batch.check()
     if failed_compilation is not None:
         return diagnostic_output.show_report(failed_compilation.report, failed_compilation.sources)
-    try:
+    with write_errors(output):
         result_file = scenario_batch.ResultFile(Path(output)) if output else None
-    except OSError as error:
-        raise OutsideError(f"cannot write {output}: {error.strerror or error}") from None
     runs = _collect_runs(planned_batch, process_count, result_file, json)
     failed_runs = [run for run in runs if run.errors]
     for run in failed_runs[:SHOWN_FAILURES]:

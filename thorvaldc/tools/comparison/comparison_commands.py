@@ -9,8 +9,9 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli import options
+from thorvaldc.cli import diagnostic_output, options
 from thorvaldc.cli.exits import DONE, INPUT
+from thorvaldc.cli.options import check_output
 
 ANY_MODEL = (
     "A robot.yaml, a fleet.yaml, a build folder, or a file of a git revision: HEAD~1:robot.yaml."
@@ -41,8 +42,6 @@ def diff(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output
-    from thorvaldc.cli.options import check_output
     from thorvaldc.comparison import difference_text
     from thorvaldc.comparison.robot_comparison import compare_models
     from thorvaldc.diagnostics.files import write_file
@@ -97,7 +96,6 @@ def info(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output
     from thorvaldc.model import Fleet
     from thorvaldc.model.facts.robot_facts import facts_document, robot_facts
     from thorvaldc.tools.comparison.compared_inputs import read_input

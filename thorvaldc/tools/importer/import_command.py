@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from thorvaldc.cli import options
+from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format
 from thorvaldc.cli.exits import OutsideError
 
 
@@ -25,7 +26,6 @@ def import_original(
     ] = "",
     format: options.Format = "text",
 ) -> int:
-    from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format
     from thorvaldc.tools.importer.original_import import import_original as convert
 
     check_format(format)

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thorvaldc.cli import options
+from thorvaldc.cli import diagnostic_output, options, robot_file
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.diagnostics import DiagnosticError
 
 if TYPE_CHECKING:
     from thorvaldc.can.frame import CanInterface
@@ -55,8 +56,6 @@ def monitor(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output, robot_file
-    from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.tools.monitor import monitor_view
     from thorvaldc.tools.monitor.bus_monitor import BusMonitor
 

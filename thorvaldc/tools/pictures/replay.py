@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
 
-from thorvaldc.cli import run_outputs
+from thorvaldc.cli import exits, run_outputs
 from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show_report, table_width
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.result import Compilation
@@ -277,7 +277,7 @@ def _read_record(
     """Returns the recorded runs by robot name, and the exit status for the diagnostics of the
     record."""
     report = Report()
-    with run_outputs.write_errors(source):
+    with exits.write_errors(source):
         runs = read_replay_record(Path(source), robots, report, for_plot=for_plot)
     return runs, show_report(report, text_sources(Path(source)))
 

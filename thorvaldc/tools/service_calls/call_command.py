@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thorvaldc.cli import options
+from thorvaldc.cli import diagnostic_output, options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
@@ -41,7 +41,6 @@ def call(
     ] = [],  # noqa: B006
     json: options.Json = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output
     from thorvaldc.runtime.control_channel import ControlClient
     from thorvaldc.runtime.service_table import ServiceError
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from thorvaldc.cli import options
-from thorvaldc.cli.exits import OutsideError
+from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format
 
 
 def usd(
@@ -21,11 +21,10 @@ def usd(
     trust: options.Trust = False,
     format: options.Format = "text",
 ) -> int:
-    from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format
     from thorvaldc.compiler.pipeline import compile_file
     from thorvaldc.diagnostics.files import write_file
     from thorvaldc.model import Robot
-    from thorvaldc.tools.usd.usd_export import UsdError, export_usd
+    from thorvaldc.tools.usd.usd_export import export_usd
 
     check_format(format)
     options.check_output(output, ("usda", "usdc"), "--output")
@@ -37,10 +36,7 @@ def usd(
         raise typer.BadParameter(f"{file} is a fleet; name one of its robots", param_hint="'FILE'")
     data = None
     if model is not None and not report.has_errors:
-        try:
-            data = export_usd(model, Path(output).suffix.lower(), report)
-        except UsdError as error:
-            raise OutsideError(f"cannot write {output}: {error}") from None
+        data = export_usd(model, Path(output).suffix.lower(), report)
     shown.add(report, compilation.sources)
     if data is not None:
         path = Path(output)
