@@ -22,7 +22,6 @@ if TYPE_CHECKING:  # the runtime package has no simulation
     from thorvaldc.simulation.control_loop import ControlLoop
 
 FORMATS = ("text", "json", "github", "sarif")
-RESULT_FORMATS = ("text", "json", "markdown")
 
 
 def check_format(name: str, known: Sequence[str] = FORMATS) -> None:

@@ -1,4 +1,4 @@
-"""What the commands write: facts as text and as Markdown, and a comparison as a web page."""
+"""What the commands write: facts as text, and a comparison as a web page."""
 
 from __future__ import annotations
 
@@ -32,26 +32,9 @@ def facts_text(facts: RobotFacts, width: int = 80, *, everything: bool = False) 
     return "\n".join(lines) + "\n"
 
 
-def facts_markdown(facts: RobotFacts) -> str:
-    """Returns the facts as Markdown."""
-    lines = [f"# {_markdown(facts.name)}"]
-    if facts.description:
-        lines += ["", _markdown(facts.description)]
-    for table in fact_tables(facts):
-        rows = [[_markdown(cell.strip()) for cell in row] for row in _rows(table)]
-        lines += ["", f"## {table.title}", "", *text_layout.markdown_table(rows, table.numeric)]
-        for note in table.notes:
-            lines += ["", _markdown(note)]
-    return "\n".join(lines) + "\n"
-
-
 def _rows(table: FactTable) -> list[tuple[str, ...]]:
     """Returns the titles of the columns, empty for a list of names and values, and the rows."""
     return [table.columns or ("",) * len(table.rows[0]), *table.rows]
-
-
-def _markdown(text: str) -> str:
-    return text_layout.markdown_text(text, code=True)
 
 
 def difference_page(difference: Difference, before: Robot | Fleet, after: Robot | Fleet) -> str:
