@@ -13,22 +13,23 @@ from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.facts.fact_tables import FactTable, fact_tables
 from thorvaldc.model.facts.robot_facts import RobotFacts
 
+WIDTH = 80
 _LONG = ("modules", "sources")
 """Tables that the text leaves out by default, because the bill of modules sums them up."""
 
 
-def facts_text(facts: RobotFacts, width: int = 80, *, everything: bool = False) -> str:
-    """Returns the facts as text whose lines have at most ``width`` characters.
+def facts_text(facts: RobotFacts, *, everything: bool) -> str:
+    """Returns the facts as text for a terminal of ``WIDTH`` columns.
 
     ``everything``: whether the text has the tables of every module and source.
     """
-    lines = [facts.name, *textwrap.wrap(facts.description, width)]
+    lines = [facts.name, *textwrap.wrap(facts.description, WIDTH)]
     for table in fact_tables(facts):
         if everything or table.key not in _LONG:
-            text = text_layout.text_table(_rows(table), width - len(text_layout.GAP), table.numeric)
+            text = text_layout.text_table(_rows(table), WIDTH - len(text_layout.GAP), table.numeric)
             lines += ["", table.title, textwrap.indent(text, text_layout.GAP)]
             for note in table.notes:
-                lines += text_layout.paragraph(note, width, text_layout.GAP)
+                lines += text_layout.paragraph(note, WIDTH, text_layout.GAP)
     return "\n".join(lines) + "\n"
 
 
