@@ -348,8 +348,6 @@ def with_bus(
     If ``work`` raises a ``DiagnosticError``, the method prints the diagnostic.
     """
     loaded = load_robot(file, library, trust)
-    if loaded is None:
-        return INPUT
     gc.enable()
     try:
         with _open_bus(loaded.robot, spec, store, sends) as access:

@@ -113,8 +113,6 @@ def run(
     if fast:
         options.refuse_options({"--name": name}, "a run with --fast has no control channel")
     loaded = load_robot(file, library, trust)
-    if loaded is None:
-        return INPUT
     with contextlib.ExitStack() as locks:
         report = Report()
         try:
@@ -318,8 +316,6 @@ def bus(
     options.check_physics(physics)
     number = options.parse_seed(seed)
     loaded = load_robot(file, library, trust)
-    if loaded is None:
-        return INPUT
     robot = loaded.robot
     gc.enable()
     memory = read_store(store, robot)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import typer
 
 from thorvaldc.cli.diagnostic_output import message, report_of, show_report
-from thorvaldc.cli.exits import OutsideError, is_runtime_only
+from thorvaldc.cli.exits import INPUT, OutsideError, is_runtime_only
 from thorvaldc.cli.options import library_folders
 from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Bus, Fleet, Robot
@@ -45,19 +45,19 @@ class LoadedRobot(NamedTuple):
         return show_report(self.locate(report), self.sources)
 
 
-def load_robot(file: str, library: Sequence[str], trust: bool) -> LoadedRobot | None:
+def load_robot(file: str, library: Sequence[str], trust: bool) -> LoadedRobot:
     """Returns the robot model from a robot.yaml or from the model.json of a build.
 
     A model is known by its content and may have any name.
     ``trust`` is whether xacro files of a robot.yaml are expanded without restrictions.
-    If the robot file has errors, the function prints the errors and returns ``None``. Raises
+    If the robot file has errors, prints them and raises ``typer.Exit``. Raises
     ``typer.BadParameter`` if the file contains a fleet or anything else but a robot. Raises
     ``OutsideError`` for a robot.yaml if the compiler is not installed.
     """
     loaded = read_robot_file(file, library, trust)
     show_report(loaded.report, loaded.sources)
     if loaded.model is None:
-        return None
+        raise typer.Exit(INPUT)
     if not isinstance(loaded.model, Robot):
         raise typer.BadParameter(f"{file} is no robot", param_hint="FILE")
     return LoadedRobot(loaded.model, loaded.sources, loaded.locate)

@@ -81,8 +81,6 @@ def commission(
     if bus != "virtual":
         options.refuse_options({"--store": store}, "is for a simulated robot, --bus virtual")
     loaded = load_robot(file, library, trust)
-    if loaded is None:
-        return INPUT
     path = Path(report) if report else path_beside(file, loaded.robot, SUFFIX)
     if path.suffix != ".json":
         raise typer.BadParameter(f"{path} must end in .json", param_hint="'--report'")

@@ -34,8 +34,6 @@ def faults(
     processes = options.parse_count(jobs, "--jobs", 1) or processors()
     number = options.parse_seed(seed) or 0
     loaded = robot_file.load_robot(file, library, trust)
-    if loaded is None:
-        return INPUT
     gc.enable()
     try:
         matrix = FaultMatrix(loaded.robot, parameters=parameters or None, seed=number)

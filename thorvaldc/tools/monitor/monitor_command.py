@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from thorvaldc.cli import diagnostic_output, options, robot_file
-from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.exits import DONE, OutsideError
 from thorvaldc.diagnostics import DiagnosticError
 
 if TYPE_CHECKING:
@@ -65,8 +65,6 @@ def monitor(
     if interval:
         period = options.parse_duration(interval, "--interval", SHORTEST)
     loaded = robot_file.load_robot(file, library, trust)
-    if loaded is None:
-        return INPUT
     try:
         model_bus, interface_name = robot_file.select_bus(loaded.robot, bus)
         interface = _open(interface_name, model_bus)

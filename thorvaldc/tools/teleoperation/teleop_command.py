@@ -11,7 +11,7 @@ import typer
 
 from thorvaldc.cli import diagnostic_output, options, robot_file
 from thorvaldc.cli.diagnostic_output import message
-from thorvaldc.cli.exits import DONE, INPUT, OutsideError, check_full_installation
+from thorvaldc.cli.exits import DONE, OutsideError, check_full_installation
 from thorvaldc.cli.robot_file import (
     LoadedRobot,
     is_hardware,
@@ -101,8 +101,6 @@ def teleop(
     if map and not joystick:
         raise typer.BadParameter("is for a --joystick", param_hint="'--map'")
     loaded = robot_file.load_robot(file, library, trust) if file else None
-    if file and loaded is None:
-        return INPUT
     search = _joystick_search(joystick, map) if joystick else None
     if search is None and not sys.stdin.isatty():
         raise OutsideError("the keyboard needs a terminal, and standard input is none")
