@@ -23,7 +23,6 @@ from thorvaldc.cli.exits import DONE, INPUT, OutsideError, check_full_installati
 from thorvaldc.cli.options import bus_interfaces
 from thorvaldc.cli.robot_file import (
     LoadedRobot,
-    describe_injected_fault,
     is_hardware,
     load_robot,
     path_beside,
@@ -38,7 +37,6 @@ if TYPE_CHECKING:
     from thorvaldc.can.frame import CanInterface
     from thorvaldc.commissioning.commission_report import CommissionReport
     from thorvaldc.model import Bus, Robot
-    from thorvaldc.model.scenario import BusFault
     from thorvaldc.runtime.driven_robot import DrivenRobot
     from thorvaldc.runtime.driver import DriverState
     from thorvaldc.runtime.run_session import RunSession
@@ -330,7 +328,6 @@ def bus(
             report,
             delivered=delivered,
             memory=memory,
-            show_fault=_show_injected_fault,
         )
     except DiagnosticError as error:
         return loaded.show(report_of(error))
@@ -437,11 +434,6 @@ def _labels(simulated: SimulatedRobot, bus: Bus) -> dict[str, dict[str, Any]]:
         for node in bus.nodes
         if MOTORS in memory[node.name]
     }
-
-
-def _show_injected_fault(time: float, fault: BusFault, begins: bool) -> None:
-    description = describe_injected_fault(fault, begins)
-    print(f"{time:.3f} s: {description}", file=sys.stderr, flush=True)
 
 
 def _show_end(simulated: SimulatedRobot, behind: int) -> None:

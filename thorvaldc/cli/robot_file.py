@@ -200,12 +200,10 @@ def virtual_robot(
     *,
     delivered: bool = False,
     memory: Memory | None = None,
-    show_fault: Callable[[float, BusFault, bool], None] | None = None,
 ) -> SimulatedRobot:
     """Returns a simulated robot with a simulated device for each node of its CAN buses.
 
     - ``faults``: path of a file with faults to inject, or empty for a run without faults.
-    - ``show_fault``: prints a fault when it begins and ends.
 
     Raises ``DiagnosticError`` if the fault file cannot be read or the robot cannot be simulated.
     """
@@ -222,7 +220,7 @@ def virtual_robot(
         robot, seed=seed, base=base, delivered=delivered, nonvolatile=memory, quirks=quirks
     )
     if script is not None:
-        FaultInjector(simulated, script, show_fault or _show_injected_fault)
+        FaultInjector(simulated, script, _show_injected_fault)
     return simulated
 
 
@@ -275,15 +273,7 @@ def read_store(store: str, robot: Robot) -> Memory:
     return memory
 
 
-def describe_injected_fault(fault: BusFault, begins: bool) -> str:
-    """Returns a description of an injected fault, such as ``power cut of fl_controller``.
-
-    At the end of the injected fault, the description ends with ``ends``.
-    """
+def _show_injected_fault(time: float, fault: BusFault, begins: bool) -> None:
     kind = fault.kind.replace("_", " ")
     node = f" of {fault.node}" if fault.node is not None else ""
-    return f"{kind}{node}{'' if begins else ' ends'}"
-
-
-def _show_injected_fault(time: float, fault: BusFault, begins: bool) -> None:
-    message(f"{time:8.2f} s  simulated: {describe_injected_fault(fault, begins)}")
+    message(f"{time:8.3f} s  simulated: {kind}{node}{'' if begins else ' ends'}")
