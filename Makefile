@@ -183,6 +183,7 @@ golden: $(READY)
 	$(BIN)/python -m tests.tools.fault_matrix.fault_table_page
 	$(BIN)/python -m tests.tools.fault_matrix.hazard_page
 	$(BIN)/python -m tests.commissioning.fault_matrix
+	$(BIN)/python -m tests.ros.parameter_table
 	$(BIN)/python -m tests.docs.tutorial
 	$(BIN)/python examples/odometry_experiment/run.py --write
 

@@ -73,7 +73,24 @@ SIMULATION_MODULES = (
     "simulation/control_loop",
 )
 MODULES = RUNTIME_MODULES + SIMULATION_MODULES
-"""Modules that a control cycle runs, without the folder of the package and the suffix."""
+"""Modules that a control cycle runs, without the folder of the package and the suffix.
+
+What mypyc asks of them:
+
+- A variable of the type ``float`` converts an integer: what must stay an integer is
+  ``int | float``.  A tuple of floats has no identity.
+- A class value that subclasses replace is a ``ClassVar`` or a property; compiled code would read
+  that of the base class.  Classes that plug-ins or interpreted modules extend carry ``mypyc_attr``
+  (``runtime/mypyc_marks.py``), and dataclasses that they extend stay interpreted.  A compiled class
+  has one base class, and others only with the mark ``trait``.
+- A compiled dataclass has no types of its fields at run time, by which ``model.json`` is read, and
+  a frozen one cannot be copied or pickled.  ``model`` and ``simulation_result`` stay interpreted.
+- Tests cannot replace methods and attributes of compiled objects.  ``frame_receiver``,
+  ``node_watchdog``, ``battery_and_io_drivers`` and ``run_time_parameters`` stay interpreted.
+- Constants are ``Final``, which saves a search in a dictionary, except tuples of floats: mypyc 2.4
+  takes these for unset in another module.  A list from numpy is assigned to a name with a type.
+  ``zip`` has no arguments by name in a loop of every cycle.
+"""
 
 # A fused multiply-add rounds once, where Python rounds twice: the numbers would depend on the
 # processor.  `-g0`: debug symbols are several times as large as the code.

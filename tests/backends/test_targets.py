@@ -85,8 +85,7 @@ def test_unknown_target() -> None:
     with pytest.raises(TargetError) as caught:
         backends.load("mjfc")
     assert str(caught.value) == (
-        "unknown target `mjfc`; did you mean `mjcf`?"
-        " the targets are can, datasheet, mjcf, ros2, sdf, urdf"
+        f"unknown target `mjfc`; did you mean `mjcf`? the targets are {', '.join(backends.names())}"
     )
 
 

@@ -18,6 +18,7 @@ import pytest
 
 from tests.child_process import ChildProcess
 from tests.cli.conftest import needs_tools
+from thorvaldc import backends
 
 ROOT = Path(__file__).parents[2]
 TALL = ROOT / "examples" / "4wd2ws_tall" / "robot.yaml"  # with a xacro file and meshes
@@ -98,7 +99,7 @@ def test_a_designer_works_on_other_systems(variables: dict[str, str]) -> None:
         ("new", "scout"),
         ("new", "farm", "--project"),
         ("check", robot, TALL),
-        ("build", TALL, "--target", "urdf,mjcf,sdf,ros2,can,datasheet", "-o", "built"),
+        ("build", TALL, "--target", ",".join(backends.names()), "-o", "built"),
         ("sim", robot, "--duration", "0.5"),
         ("scenario", "farm/scenarios/straight.yaml"),
         ("info", robot),

@@ -4,8 +4,12 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 
 - ``code``: name of the expected code;
 - ``line``: line of the diagnostic, 0 if it has no span; ``file``: its file (default: any);
-- ``files``: the documents by path, as text, ``!!binary``, or ``{repeat: text, times: n}``;
-- ``neighbour``: files with the smallest change that removes the diagnostic;
+- ``files``: the documents by path, as text, ``!!binary``, or ``{repeat: text, times: n}``; in a
+  text, MODEL_VERSION is the version of model.json;
+- ``change``: the smallest change of the files that removes the diagnostic, by path: lines of the
+  file that begin with a space, lines that go (``-``), and lines that come (``+``); a line ``@@``
+  begins another place.  The lines of a place are in the file once;
+- ``neighbour``: the changed files, where they have more than other lines;
 - ``entry``: the file to compile (default ``robot.yaml``);
 - ``run``: the command to test:
 
@@ -45,6 +49,7 @@ import yaml
 
 from thorvaldc.diagnostics import CODES, Diagnostic, Report
 from thorvaldc.model import Robot
+from thorvaldc.model.model_json import VERSION
 
 HERE = Path(__file__).parent
 PAGES = HERE.parent.parent / "docs" / "diagnostics"
@@ -74,7 +79,25 @@ def case_files() -> list[Path]:
 @functools.cache
 def read_cases(path: Path) -> list[dict[str, Any]]:
     cases: list[dict[str, Any]] = yaml.load(path.read_text(encoding="utf-8"), yaml.CSafeLoader)
+    for case in cases:
+        if "change" in case:
+            changes, files = case.pop("change"), case["files"]
+            changed = {file: with_change(files[file], text) for file, text in changes.items()}
+            case["neighbour"] = {**files, **changed}
     return cases
+
+
+def with_change(text: str, change: str) -> str:
+    """Returns a text with other lines.  Raises ``ValueError`` if they are not there once."""
+    lines = text.splitlines(keepends=True)
+    for place in re.split(r"^@@\n", change, flags=re.MULTILINE):
+        marked = [(line[0], line[1:]) for line in place.splitlines(keepends=True)]
+        old = [line for mark, line in marked if mark != "+"]
+        starts = [i for i in range(len(lines)) if lines[i : i + len(old)] == old]
+        if len(starts) != 1:
+            raise ValueError(f"{len(starts)} places have these lines: {place}")
+        lines[starts[0] : starts[0] + len(old)] = [line for mark, line in marked if mark != "-"]
+    return "".join(lines)
 
 
 def can_run(case: dict[str, Any]) -> bool:
@@ -105,7 +128,9 @@ def bytes_of(content: Any) -> bytes:
     """Returns the bytes of a file of a case."""
     if isinstance(content, dict):
         content = content["repeat"] * content["times"]
-    return content if isinstance(content, bytes) else content.encode()
+    if isinstance(content, bytes):
+        return content
+    return content.replace("MODEL_VERSION", str(VERSION)).encode()
 
 
 def write(files: dict[str, Any], folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -10,6 +11,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
+
+from thorvaldc.runtime.calculators import base_calculator
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/*/README.md")])
@@ -88,7 +91,7 @@ def test_commands_that_move_a_robot_begin_with_zero() -> None:
         if first is not None:
             assert "linear" not in first[0], page
             found += 1
-    assert found == 5
+    assert found == 4
 
 
 def test_the_page_of_examples_has_every_example() -> None:
@@ -130,6 +133,30 @@ def test_the_page_of_commands_names_every_command() -> None:
         assert entry.hidden or entry.group or re.search(rf"`(thorvaldc )?{entry.name}\b", page), (
             entry.name
         )
+
+
+@pytest.mark.parametrize(
+    ("page", "kind"),
+    [
+        ("language", "robot"),
+        ("language", "fleet"),
+        ("language", "module"),
+        ("scenarios", "scenario"),
+    ],
+)
+def test_the_page_of_a_document_names_its_keys(page: str, kind: str) -> None:
+    text = (ROOT / f"docs/{page}.md").read_text(encoding="utf-8")
+    schema = json.loads((ROOT / f"thorvaldc/schema/{kind}.schema.json").read_text(encoding="utf-8"))
+    # Every kind of document has these two.
+    keys = schema["properties"].keys() - {"description", "accept"}
+    assert [key for key in keys if not re.search(rf"\b{key}\b", text)] == []
+
+
+def test_the_page_of_base_calculators_has_a_row_for_each() -> None:
+    page = (ROOT / "docs/base-calculators.md").read_text(encoding="utf-8")
+    names = base_calculator.PLUGINS.names()
+    assert len(names) >= 3
+    assert [name for name in names if f"\n| `{name}` |" not in page] == []
 
 
 def test_the_architecture_page_has_the_layers_that_are_checked() -> None:

@@ -13,7 +13,6 @@ import pytest
 from tests.docs.tutorial import (
     FOLDER,
     PAGES,
-    TUTORIAL,
     Reader,
     blocks_of,
     mismatch,
@@ -94,13 +93,6 @@ def test_the_page_shows_pictures_that_its_commands_make(name: str) -> None:
             blocks = [block for block in blocks_of(text) if block.language == "console"]
             sources = [f"{block.text} {block.value('screenshot')}" for block in blocks]
             assert any(picture.name in source for source in sources), picture.name
-
-
-def test_the_overview_has_the_length_of_the_tutorial() -> None:
-    text = "".join(page(f"tutorial/{name}") for name in ("README", *TUTORIAL))
-    words = len(re.sub(r"```.*?```|<!--.*?-->", "", text, flags=re.S).split())
-    commands = len(re.findall(r"^\$ ", text, re.M))
-    assert f"{round(words, -2)} words, {commands} commands" in text
 
 
 def test_another_picture_is_noticed() -> None:

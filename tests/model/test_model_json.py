@@ -48,7 +48,7 @@ from thorvaldc.model import (
     model_json,
 )
 from thorvaldc.model import robot as robot_module
-from thorvaldc.model.model_json import ModelFormatError, from_json, load_model, to_json
+from thorvaldc.model.model_json import VERSION, ModelFormatError, from_json, load_model, to_json
 
 POSE = Pose.from_xyz_rpy((0.1, -0.2, 1 / 3), (0.3, 0.2, 0.1))
 GREY = (0.5, 0.25, 1.0, 1.0)
@@ -350,7 +350,7 @@ def test_other_texts_are_errors(text: str) -> None:
         ("kind", ..., "the field `kind` is missing"),
         ("date", "today", "there is no field `date`"),
         ("format", "urdf", "not a thorvaldc-model file"),
-        ("version", "3", 'version "3"; this program reads 11'),
+        ("version", "3", f'version "3"; this program reads {VERSION}'),
     ],
 )
 def test_the_message_names_the_path(path: str, value: Any, message: str) -> None:
@@ -380,7 +380,7 @@ def test_a_path_in_a_fleet() -> None:
 
 
 def test_the_message_of_another_version_names_both() -> None:
-    with pytest.raises(ModelFormatError, match=r"version 1; this program reads 11"):
+    with pytest.raises(ModelFormatError, match=f"version 1; this program reads {VERSION}"):
         from_json(changed("version", 1))
 
 
@@ -394,8 +394,12 @@ def test_the_message_of_another_version_names_both() -> None:
             "build the robot again with this thorvaldc 1.0.0: thorvaldc build FILE",
         ),
         (9, "thorvaldc 0.1.0", "or use thorvaldc 0.1.0, which wrote the file"),
-        (12, "thorvaldc 2.0.0", "or use thorvaldc 2.0.0, which wrote the file"),
-        (12, None, "a thorvaldc newer than 1.0.0 wrote the file: install it, or build the"),
+        (VERSION + 1, "thorvaldc 2.0.0", "or use thorvaldc 2.0.0, which wrote the file"),
+        (
+            VERSION + 1,
+            None,
+            "a thorvaldc newer than 1.0.0 wrote the file: install it, or build the",
+        ),
     ],
 )
 def test_a_model_of_another_version_names_the_program(
@@ -411,7 +415,7 @@ def test_a_model_of_another_version_names_the_program(
         (tmp_path / "manifest.json").write_text(json.dumps({"compiler": compiler}), "utf-8")
     with pytest.raises(DiagnosticError) as caught:
         load_model(tmp_path)
-    assert f"version {version}; this program reads 11" in caught.value.diagnostic.message
+    assert f"version {version}; this program reads {VERSION}" in caught.value.diagnostic.message
     assert hint in str(caught.value.diagnostic.hint)
 
 
@@ -419,5 +423,5 @@ def test_a_model_of_another_version_names_the_program(
 def test_a_broken_manifest_hides_no_error(tmp_path: Path, text: str) -> None:
     (tmp_path / "model.json").write_text(changed("version", 9), encoding="utf-8")
     (tmp_path / "manifest.json").write_text(text, encoding="utf-8")
-    with pytest.raises(DiagnosticError, match="version 9; this program reads 11"):
+    with pytest.raises(DiagnosticError, match=f"version 9; this program reads {VERSION}"):
         load_model(tmp_path)

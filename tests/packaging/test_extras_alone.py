@@ -30,7 +30,8 @@ ROOT = Path(__file__).resolve().parents[2]
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 EXTRAS: dict[str, list[str]] = PROJECT["optional-dependencies"]
 FOR_DEVELOPERS = {"dev", "bench", "docs"}
-# `test_warp_env.py` runs in an environment with only that, where kernels take a minute to compile.
+# `test_warp_env.py` compares the output in an environment with only that, where kernels take a
+# minute to compile.
 SHOWN_ELSEWHERE = {"all", "warp"}
 
 pytestmark = needs_tools

@@ -29,7 +29,8 @@ from thorvaldc.compiler.pipeline import compile_file, emit
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
-TARGETS = ["urdf", "mjcf", "sdf", "ros2", "can", "datasheet"]
+SCRIPT = (ROOT / "playground/host.js").read_text(encoding="utf-8")
+TARGETS = json.loads(SCRIPT.partition("const TARGETS = ")[2].partition(";")[0])
 TEXT = (EXAMPLES / "4wd4ws_wide" / "robot.yaml").read_text(encoding="utf-8")
 NO_NETWORK = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
 DESK, PHONE = {"width": 1440, "height": 860}, {"width": 390, "height": 844}

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from thorvaldc import backends
 from thorvaldc.compiler.pipeline import compile_file, emit, load
 from thorvaldc.tools.preview import page_drive
 
@@ -148,7 +149,7 @@ def test_a_file_without_modules_gets_none(text: str) -> None:
 
 
 def test_the_built_files_are_those_of_a_build(page: Page) -> None:
-    targets = ["urdf", "mjcf", "sdf", "ros2", "can", "datasheet"]
+    targets = backends.names()
     answer = page.ask("build", "files", targets=targets)
     built = emit(load(ROOT / "examples/4wd4ws_wide/robot.yaml"), targets)
     assert {file["path"]: file["bytes"] for file in answer["files"]} == {
@@ -231,3 +232,10 @@ def test_a_fleet_drives_and_a_wrong_name_drives_its_first_robot(
     clock.advance(page, 0.1)
     assert page.answers["state"][-1]["robot"] == "tall"
     page.send("drive", on=False)
+
+
+def test_the_page_offers_every_target() -> None:
+    script = (ROOT / "playground/host.js").read_text(encoding="utf-8")
+    assert {*json.loads(script.partition("const TARGETS = ")[2].partition(";")[0])} == {
+        *backends.names()
+    }

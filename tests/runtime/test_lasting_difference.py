@@ -30,6 +30,13 @@ class HalfAsFast(General):
         return super().command(twist.scaled(0.5), states, dt)
 
 
+class NeverSideways(General):
+    """A calculator that forbids a motion which the wheels allow."""
+
+    def feasible(self, twist: Twist) -> Twist:
+        return super().feasible(twist._replace(vy=0.0))
+
+
 class HeldSteering(SimBase):
     """A base whose steering joints stand still, as with a blown fuse."""
 
@@ -71,6 +78,13 @@ def test_a_new_command_and_a_stop_start_the_time_again_but_a_trembling_command_d
     after = reports(driver, [Twist(0.0, 0.6, 0.0)] * 5, 12.0)
     assert not any(state.not_followed for state in after)
     assert not reports(driver, [ZERO_TWIST] * seconds(12.0), 12.2)[-1].not_followed
+
+
+def test_a_calculator_that_forbids_a_motion_is_named() -> None:
+    calculator = NeverSideways(BaseGeometry.from_robot(ROBOT))
+    driver = BaseDriver(ROBOT, SimBase(ROBOT), calculator)
+    text = reports(driver, [Twist(0.5, 0.4, 0.0)] * seconds(12.0))[-1].not_followed
+    assert text.endswith("its base calculator does not allow it")
 
 
 def test_held_steering_joints_are_named() -> None:

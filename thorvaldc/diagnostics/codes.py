@@ -302,7 +302,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV805", "simulation-diverged", "the simulation diverged"),
     _error("TV806", "twist-invalid", "a velocity command is not finite"),
     _warning("TV807", "steering-unreachable", "wheels cannot be steered to the commanded twist"),
-    _warning("TV808", "twist-infeasible", "fixed wheels do not allow the commanded twist"),
+    _warning("TV808", "twist-infeasible", "the base does not allow the commanded twist"),
     _error("TV809", "model-unreadable", "a model file cannot be read"),
     _error("TV810", "parameter-set-unknown", "no parameter set has this name"),
     _warning("TV811", "parameter-set-scene", "parameter set and scene have different radii"),

@@ -264,6 +264,12 @@ def is_axle_swing(commanded: Twist, infeasible: Twist) -> bool:
     return abs(dot) < 1e-6 and abs(infeasible.wz) < 1e-6
 
 
+def forbidding_part(robot: Robot) -> str:
+    """Returns the part that forbids a twist which all steering joints can reach, and its verb."""
+    fixed = any(w.steering_joint is None and w.swivel_joint is None for w in robot.wheels)
+    return "fixed wheels do" if fixed else "base calculator does"
+
+
 def difference_text(
     robot: Robot,
     calculator: BaseCalculator,
@@ -281,8 +287,11 @@ def difference_text(
     causes = []
     if not is_axle_swing(commanded, infeasible):
         wheels = ", ".join(robot.wheels[i].name for i in calculator.limiting_wheels(commanded))
-        reason = f"{wheels} cannot steer to it" if wheels else "its fixed wheels do not allow it"
-        causes.append(reason)
+        causes.append(
+            f"{wheels} cannot steer to it"
+            if wheels
+            else f"its {forbidding_part(robot)} not allow it"
+        )
     if limit:
         causes.append(f"limited by {limit}")
     fast = ", ".join(

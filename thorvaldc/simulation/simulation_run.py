@@ -18,7 +18,7 @@ from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import Pose2, Twist, twist_text
-from thorvaldc.runtime.twist_ramp import is_axle_swing
+from thorvaldc.runtime.twist_ramp import forbidding_part, is_axle_swing
 from thorvaldc.simulation import control_loop
 from thorvaldc.simulation.control_loop import ControlLoop, Manoeuvre, TickCallback
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
@@ -116,9 +116,10 @@ def report_run(
             report.add(
                 "twist-infeasible",
                 f"the commanded twist of {loop.name} is {twist_text(loop.infeasible_twist)}; "
-                f"its fixed wheels do not allow the part {twist_text(loop.infeasible)}",
+                f"its {forbidding_part(loop.robot)} not allow the part"
+                f" {twist_text(loop.infeasible)}",
                 loop.robot.span if turned is None else turned.span,
-                hint="a robot with fixed wheels cannot move across them"
+                hint="command a twist without this part; no robot moves across its fixed wheels"
                 if turned is None
                 else f"other fixed wheels allow it; turn the mount of `{turned.module}`",
             )

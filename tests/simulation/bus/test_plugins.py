@@ -1,11 +1,8 @@
-"""A motor controller of another package: driver, simulated device and module type.
-
-The code comes from docs/simulated-bus.md, which so stays true.
-"""
+"""A motor controller of another package: driver, simulated device and module type."""
 
 from __future__ import annotations
 
-import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -19,22 +16,23 @@ from thorvaldc.model import Robot
 from thorvaldc.simulation.bus.battery_and_io_devices import ForeignDevice
 from thorvaldc.simulation.bus.simulated_robot import SIMULATED_DEVICES, SimulatedRobot
 
-PAGE = Path(__file__).parents[3] / "docs" / "simulated-bus.md"
+ACME = Path(__file__).with_name("acme")
+"""A package for a CANopen controller, which docs/simulated-bus.md names as an example."""
+ENTRY_POINTS = """
+[thorvaldc.motor_controllers]
+acme_servo = acme.driver:AcmeServoController
 
-
-def code_block(name: str) -> str:
-    """Returns the code block of the page that starts with a comment with this file name."""
-    blocks = re.findall(r"```\w+\n# (\S+)\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
-    return dict(blocks)[name]
+[thorvaldc.simulated_devices]
+acme_servo = acme.simulated:AcmeServo
+"""
 
 
 def install(folder: Path, entry_points: str) -> None:
     """Writes the package ``acme`` as an installed one."""
     package = folder / "acme"
     package.mkdir()
-    (package / "__init__.py").write_text("")
-    for module in ("driver", "simulated"):
-        (package / f"{module}.py").write_text(code_block(f"acme/{module}.py"))
+    for name in ("__init__.py", "driver.py", "simulated.py"):
+        shutil.copyfile(ACME / name, package / name)
     info = folder / "acme-1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1\n")
@@ -44,8 +42,7 @@ def install(folder: Path, entry_points: str) -> None:
 @pytest.fixture
 def acme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder of the installed package."""
-    text = code_block("pyproject.toml").replace('project.entry-points."', "").replace('"]', "]")
-    install(tmp_path, text.replace('"', ""))
+    install(tmp_path, ENTRY_POINTS)
     monkeypatch.syspath_prepend(str(tmp_path))
     for module in ("acme", "acme.driver", "acme.simulated"):
         monkeypatch.delitem(sys.modules, module, raising=False)
@@ -55,7 +52,7 @@ def acme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def robot_with_acme_servo(folder: Path) -> Robot:
     module = folder / "modules" / "controller" / "acme_servo"
     module.mkdir(parents=True)
-    (module / "module.yaml").write_text(code_block("modules/controller/acme_servo/module.yaml"))
+    shutil.copyfile(ACME / "module.yaml", module / "module.yaml")
     text = (FOLDER / "2wd0ws_greenhouse" / "robot.yaml").read_text(encoding="utf-8")
     robot_file = folder / "robot.yaml"
     robot_file.write_text(text.replace("controller/propulsion_propulsion", "controller/acme_servo"))

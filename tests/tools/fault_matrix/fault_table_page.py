@@ -1,4 +1,4 @@
-"""The tables of docs/faults.md: two robots with different drives, and joints behind topics.
+"""The tables of docs/faults.md: two robots with different drives, joints behind topics, the ground.
 
 ``python -m tests.tools.fault_matrix.fault_table_page`` writes the tables into docs/faults.md.  It
 writes nothing if a stop has no time and distance, or breaks another promise.
@@ -14,10 +14,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import thorvaldc
 from tests.simulation.bus.robots import ROBOTS
 from tests.tools.fault_matrix import joint_topic_faults
 from thorvaldc.diagnostics.text_layout import markdown_table
 from thorvaldc.model import Robot
+from thorvaldc.tools.fault_matrix import ground_faults
 from thorvaldc.tools.fault_matrix.fault_matrix import (
     HEADINGS,
     FaultMatrix,
@@ -29,6 +31,10 @@ from thorvaldc.tools.fault_matrix.fault_matrix import (
 PAGE = Path(__file__).parents[3] / "docs" / "faults.md"
 BEGIN, END = "<!-- made by tests/tools/fault_matrix/fault_table_page.py -->\n", "<!-- end -->\n"
 TOPICS = "<!-- made by tests/tools/fault_matrix/joint_topic_faults.py -->\n"
+GROUND = "<!-- made by tests/tools/fault_matrix/fault_table_page.py: ground -->\n"
+GROUND_HEADINGS = ("robot", *ground_faults.HEADINGS)
+GROUND_ROBOTS = ("4wd4ws_wide", "2wd0ws_greenhouse")
+"""Examples with and without an IMU."""
 
 
 def rows(drives: str, jobs: int = 1, *, batteries: bool = True) -> tuple[Robot, list[FaultRow]]:
@@ -68,6 +74,14 @@ def table() -> Iterator[str]:
     return markdown_table([HEADINGS, *lines], aligned=True)
 
 
+def ground_cells() -> Iterator[tuple[str, ...]]:
+    """Yields the rows of the table of the ground."""
+    for name in GROUND_ROBOTS:
+        robot = thorvaldc.load(PAGE.parents[1] / "examples" / name / "robot.yaml")
+        for row in ground_faults.ground_rows(robot, ground_faults.ground_faults(robot)):
+            yield (name, *ground_faults.ground_cells(row))
+
+
 def replaced(page: str, begin: str, lines: Iterable[str]) -> str:
     """Returns the page with other lines between ``begin`` and ``END``."""
     head, _, tail = page.partition(begin)
@@ -82,7 +96,9 @@ def main() -> int:
     topics = markdown_table(
         [joint_topic_faults.HEADINGS, *joint_topic_faults.cells()], aligned=True
     )
+    ground = markdown_table([GROUND_HEADINGS, *ground_cells()], aligned=True)
     page = replaced(PAGE.read_text(encoding="utf-8"), BEGIN, faults)
+    page = replaced(page, GROUND, ground)
     PAGE.write_text(replaced(page, TOPICS, topics), encoding="utf-8")
     return 0
 

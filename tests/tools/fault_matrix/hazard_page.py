@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tests.runtime.test_exploration import RULES
-from tests.tools.fault_matrix.fault_table_page import BEGIN, END, PAGE, TOPICS, replaced
+from tests.tools.fault_matrix.fault_table_page import BEGIN, END, GROUND, PAGE, TOPICS, replaced
 from thorvaldc.diagnostics.text_layout import markdown_table
 
 ROOT = Path(__file__).parents[3]
@@ -163,6 +163,24 @@ TOPIC_HAZARDS = (
         "**a driver that is killed without its guard**: the other program keeps the last command",
     ),
 )
+GROUND_TEST = "tests/tools/fault_matrix/test_ground_faults.py"
+GROUND_HAZARDS = (
+    Hazard(
+        "a wheel stalls, and the odometry takes its stillness for the robot's",
+        "speeds of the wheels against each other, their commands and the yaw rate of an IMU",
+        ("(a wheel|all wheels) stalls?",),
+        (f"{GROUND_TEST}::test_stalled_wheels_are_warned_about_and_within_the_stated_error",),
+        "which of the wheels is right, if half of them stall",
+    ),
+    Hazard(
+        "wheels slide, or hang in the air: the robot does not move as they turn",
+        "speeds of the wheels against each other, their commands and the yaw rate of an IMU",
+        ("the robot is held", "(held, )?(a wheel|all wheels)( but one)? (on ice|in the air)"),
+        (f"{GROUND_TEST}::test_a_held_robot_with_an_imu_is_warned_about",),
+        "**wheels that all turn as commanded show nothing** until the robot should turn and its IMU"
+        " says that it does not: look at sensors that do not use the wheels",
+    ),
+)
 PERMISSION = (
     Hazard(
         "the robot starts, and nobody asks for it at that moment",
@@ -241,13 +259,18 @@ class Row(NamedTuple):
     promised: str
 
 
-def rows(begin: str) -> list[Row]:
-    """Returns the rows of a table of docs/faults.md."""
+def cells(begin: str) -> list[list[str]]:
+    """Returns the cells of a table of docs/faults.md, with its headings."""
     table = PAGE.read_text(encoding="utf-8").partition(begin)[2].partition(END)[0]
     lines = [[c.strip() for c in line.split("|")[1:-1]] for line in table.splitlines()]
-    head = lines[0]
+    return [lines[0], *lines[2:]]
+
+
+def rows(begin: str) -> list[Row]:
+    """Returns the rows of a table of docs/faults.md."""
+    head, *lines = cells(begin)
     driving, promised = head.index("driving"), head.index("promised")
-    return [Row(line[0], line[driving], line[promised]) for line in lines[2:]]
+    return [Row(line[0], line[driving], line[promised]) for line in lines]
 
 
 def owned(hazards: Iterable[Hazard], names: Iterable[str]) -> dict[Hazard, list[str]]:
@@ -311,6 +334,19 @@ def rests(table: Sequence[Row]) -> str:
     return "; ".join(parts)
 
 
+def ground_lines() -> Iterator[tuple[str, ...]]:
+    _, *table = cells(GROUND)
+    for hazard, faults in owned(GROUND_HAZARDS, (row[1] for row in table)).items():
+        mine = [row for row in table if row[1] in faults]
+        errors = [[float(m) for m in re.findall(r"[0-9.]+", row[4])] for row in mine]
+        error, stated = max(errors, key=lambda pair: pair[0] / max(pair[1], 0.01))
+        warned = sum(row[5] != "none" for row in mine)
+        reaction = f"warns ({warned}), continues ({len(mine) - warned})"
+        rest = f"no stop: position wrong by {error:.2f} m, stated {stated:.2f} m"
+        tests = test_links(hazard.tests)
+        yield hazard.name, hazard.detection, reaction, rest, tests, hazard.left
+
+
 # -- the permission -------------------------------------------------------------------------------
 
 
@@ -339,6 +375,7 @@ def text() -> str:
     """Returns the page with new tables."""
     page = HAZARDS_PAGE.read_text(encoding="utf-8")
     lines = [*fault_lines(FAULTS, rows(BEGIN)), *fault_lines(TOPIC_HAZARDS, rows(TOPICS))]
+    lines += ground_lines()
     page = replaced(page, FAULT_TABLE, markdown_table([HEADINGS, *lines]))
     return replaced(page, RULE_TABLE, markdown_table([RULE_HEADINGS, *rule_lines()]))
 

@@ -1,4 +1,4 @@
-"""Faults of a motor controller of another package, from docs/simulated-bus.md."""
+"""Faults of a motor controller of another package."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ import os
 import textwrap
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection, wait
@@ -32,9 +32,10 @@ from thorvaldc.model.model_json import model_hash
 from thorvaldc.model.statics.slope import roll_out
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.worker_processes import become_worker
-from thorvaldc.tools.fault_matrix import fault_cases, fault_reaction
+from thorvaldc.tools.fault_matrix import fault_cases, fault_reaction, ground_faults
 from thorvaldc.tools.fault_matrix.fault_cases import Evidence, FaultCase
 from thorvaldc.tools.fault_matrix.fault_reaction import Reaction, react
+from thorvaldc.tools.fault_matrix.ground_faults import GroundRow
 from thorvaldc.tools.fault_matrix.rehearsal import Rehearsal
 
 T = TypeVar("T")
@@ -293,10 +294,16 @@ SIMULATED = (
     "The reactions were measured on a simulated bus with simulated drives and motors. They do not"
     " replace tests on the hardware, and a stop in software is not a safety function."
 )
+GROUND = (
+    "Faults of the ground, in MuJoCo: how wrong the odometry is at the end of 7 s, and which"
+    " standard deviation it states. Of the wheels, the one with the worst result is shown."
+)
 HEADINGS = ("fault", "drives", *fault_cases.PHASES, "promised", "unasked motion")
 
 
-def matrix_json(matrix: FaultMatrix, rows: Sequence[FaultRow], file: str) -> dict[str, Any]:
+def matrix_json(
+    matrix: FaultMatrix, rows: Sequence[FaultRow], ground: Sequence[GroundRow], file: str
+) -> dict[str, Any]:
     """Returns the fault matrix as JSON values, with times in s, paths in m and speeds in m/s."""
     robot, twist = matrix.robot, matrix.twist
     return {
@@ -314,6 +321,7 @@ def matrix_json(matrix: FaultMatrix, rows: Sequence[FaultRow], file: str) -> dic
         },
         "passed": all(row.passed for row in rows),
         "faults": [row_json(robot, row) for row in rows],
+        "ground": [ground_faults.ground_json(row) for row in ground],
     }
 
 
@@ -342,7 +350,11 @@ def row_json(robot: Robot, row: FaultRow) -> dict[str, Any]:
 
 
 def markdown(
-    matrix: FaultMatrix, rows: Sequence[FaultRow], file: str, width: int | None = None
+    matrix: FaultMatrix,
+    rows: Sequence[FaultRow],
+    ground: Sequence[GroundRow],
+    file: str,
+    width: int | None = None,
 ) -> Iterator[str]:
     """Yields the lines of a Markdown page with the fault matrix.
 
@@ -360,12 +372,15 @@ def markdown(
     yield f"- Driving: {twist.vx:.2f} m/s in curves of {abs(twist.wz):.2f} rad/s to both sides"
     for bound in stopping.swerve_bounds(robot):
         yield f"- Yaw, straight ahead: {_swerve_text(bound)}"
-    yield ""
-    cells = [HEADINGS, *(row_cells(robot, row) for row in rows)]
-    if width is None:
-        yield from markdown_table(cells, aligned=True)
-    else:
-        yield text_table(cells, width)
+    if rows:
+        yield ""
+        yield from _table([HEADINGS, *(row_cells(robot, row) for row in rows)], width)
+    if ground:
+        yield ""
+        yield GROUND if width is None else textwrap.fill(GROUND, width)
+        yield ""
+        cells = [ground_faults.HEADINGS, *map(ground_faults.ground_cells, ground)]
+        yield from _table(cells, width)
     broken = [(row, phase, text) for row in rows for phase, texts in row.broken.items()
               for text in texts]  # fmt: skip
     yield ""
@@ -376,6 +391,12 @@ def markdown(
             yield f"- {row.case.name} ({row.case.drives}), {phase}: {text}"
     else:
         yield "All promises are kept."
+
+
+def _table(cells: Sequence[Sequence[str]], width: int | None) -> Iterable[str]:
+    if width is None:
+        return markdown_table(cells, aligned=True)
+    return [text_table(cells, width)]
 
 
 def _swerve_text(bound: stopping.SwerveBound) -> str:

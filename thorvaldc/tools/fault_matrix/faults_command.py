@@ -1,4 +1,5 @@
-"""The command ``thorvaldc faults``: measures how a robot reacts to faults on its simulated bus."""
+"""The command ``thorvaldc faults``: measures how a robot reacts to faults of its bus and of the
+ground."""
 
 from __future__ import annotations
 
@@ -28,6 +29,7 @@ def faults(
     from thorvaldc.cli.diagnostic_output import Progress
     from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.simulation.worker_processes import processors
+    from thorvaldc.tools.fault_matrix import ground_faults
     from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix, markdown, matrix_json
     from thorvaldc.tools.fault_matrix.rehearsal import RehearsalError
 
@@ -37,15 +39,22 @@ def faults(
     gc.enable()
     try:
         matrix = FaultMatrix(loaded.robot, parameters=parameters or None, seed=number)
+        ground = ground_faults.ground_faults(loaded.robot)
         names = list(dict.fromkeys(case.name for case in matrix.cases))
+        names += [group[0].name for group in ground]
         matrix.cases = [case for case in matrix.cases if only in case.name]
-        if not matrix.cases:
+        ground = [group for group in ground if only in group[0].name]
+        if not matrix.cases and not ground:
             raise typer.BadParameter(
                 f"no fault contains {only!r}; there are: {'; '.join(names)}", param_hint="'--only'"
             )
-        progress = Progress(matrix.cells, "reactions")
+        progress = Progress(matrix.cells + len(ground), "reactions")
+        ground_rows = []
         try:
-            rows = matrix.rows(processes, progress.show)
+            rows = matrix.rows(processes, progress.show) if matrix.cases else []
+            for row in ground_faults.ground_rows(loaded.robot, ground):
+                ground_rows.append(row)
+                progress.show(matrix.cells + len(ground_rows))
         finally:
             progress.clear()
     except DiagnosticError as error:
@@ -54,7 +63,8 @@ def faults(
         diagnostic_output.message(f"error: {file}: {error}")
         return INPUT
     if json:
-        diagnostic_output.print_json(matrix_json(matrix, rows, file))
+        diagnostic_output.print_json(matrix_json(matrix, rows, ground_rows, file))
     else:
-        print("\n".join(markdown(matrix, rows, file, diagnostic_output.table_width())))
+        width = diagnostic_output.table_width()
+        print("\n".join(markdown(matrix, rows, ground_rows, file, width)))
     return DONE if all(row.passed for row in rows) else INPUT

@@ -179,8 +179,11 @@ class WarpPhysics(BatchPhysics):
         import mujoco
 
         try:
-            import mujoco_warp
             import warp
+
+            # Warp prints a line for each kernel that it loads, from the import on.
+            warp.config.log_level = warp.LOG_WARNING
+            import mujoco_warp
         except ImportError:
             raise ImportError(f"MuJoCo Warp is not installed: {install_command('warp')}") from None
         self._warp, self._mujoco_warp = warp, mujoco_warp

@@ -1,0 +1,1 @@
+"""Extensions of thorvaldc for the robots of Acme."""
