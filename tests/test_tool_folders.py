@@ -67,7 +67,7 @@ def test_the_core_works_when_all_tools_are_deleted(core: Path, arguments: tuple[
 
 def test_the_help_lists_no_tools(core: Path) -> None:
     shown = call(core, "--help").stdout
-    assert "Robot files:" in shown
-    assert "Simulation:" in shown
+    assert "Commands:" in shown
+    assert "  sim " in shown
     assert not {"audit", "study", "teleop"} & set(shown.split())
     assert "No such command 'diff'" in call(core, "diff", "good.yaml", "good.yaml").stderr

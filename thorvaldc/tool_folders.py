@@ -28,11 +28,6 @@ class PluginError(Exception):
     """What another package adds to thorvaldc cannot be used; the message has the reason."""
 
 
-ROBOT_FILES, SIMULATION, BUS = "Robot files", "Simulation", "CAN bus and driver"
-TOPICS = (ROBOT_FILES, SIMULATION, BUS)
-"""Headings of the commands in ``thorvaldc --help`` and in docs/commands.md."""
-
-
 class CommandEntry(NamedTuple):
     """A row of the command table.
 
@@ -40,15 +35,13 @@ class CommandEntry(NamedTuple):
     - ``target``: function of the command as ``module:function`` in ``package``, or empty for a
       group of commands.
     - ``help``: help text on one line, for the list of commands and for the help of the command.
-    - ``topic``: heading of the command in the list of all commands, one of ``TOPICS``.
     """
 
     name: str
     target: str
     help: str
     hidden: bool = False
-    package: str = "thorvaldc.cli.commands"
-    topic: str = ROBOT_FILES
+    package: str = "thorvaldc.cli"
 
     @property
     def group(self) -> str:

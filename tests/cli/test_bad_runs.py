@@ -19,7 +19,7 @@ from tests.cli.conftest import Command
 from tests.cli.test_terminal import on_terminal
 from tests.full_disk import full_disk
 from tests.outside_tools import require
-from thorvaldc.cli.progress import Progress
+from thorvaldc.cli.diagnostic_output import Progress
 from thorvaldc.simulation.control_loop import ControlLoop
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

@@ -135,8 +135,10 @@ def test_injected_faults_are_reported_at_their_time(tmp_path: Path) -> None:
     )
     with running(tmp_path, "robot.yaml", "--faults", "faults.yaml") as (process, _):
         assert process.stderr is not None
-        assert process.stderr.readline() == "0.050 s: power cut of fl_controller\n"
-        assert process.stderr.readline() == "0.100 s: power cut of fl_controller ends\n"
+        assert process.stderr.readline() == "   0.050 s  simulated: power cut of fl_controller\n"
+        assert (
+            process.stderr.readline() == "   0.100 s  simulated: power cut of fl_controller ends\n"
+        )
         end(process)
 
 

@@ -16,8 +16,8 @@ import pytest
 from tests.child_process import ChildProcess
 from tests.cli.conftest import BAD, GOOD, Command
 from tests.slow import mostly_slow
-from thorvaldc.cli import checked_file
-from thorvaldc.cli.checked_file import CheckedFile, check_file, check_files
+from thorvaldc.cli import file_commands
+from thorvaldc.cli.file_commands import CheckedFile, check_file, check_files
 from thorvaldc.simulation import worker_processes
 
 ROOT = Path(__file__).parents[2]
@@ -40,7 +40,7 @@ def files(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch) -> list[str]:
         text + "  box: {type: frame/own, mount: frame.center}\n", encoding="utf-8"
     )
     Path("wide.yaml").write_text(GOOD.replace("width: 0.9 m", "width: 1.2 m"), encoding="utf-8")
-    monkeypatch.setattr(checked_file, "FILES_OF_PROCESSES", len(FILES))
+    monkeypatch.setattr(file_commands, "FILES_OF_PROCESSES", len(FILES))
     monkeypatch.setattr(worker_processes, "processors", lambda: 2)
     return FILES
 
@@ -50,7 +50,7 @@ def test_processes_find_what_one_process_finds(
     thorvaldc: Command, files: list[str], format: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     processes = thorvaldc("check", *files, "--format", format, "--verbose")
-    monkeypatch.setattr(checked_file, "FILES_OF_PROCESSES", 1000)
+    monkeypatch.setattr(file_commands, "FILES_OF_PROCESSES", 1000)
     alone = thorvaldc("check", *files, "--format", format, "--verbose")
     assert processes == alone
     assert processes.status == 1
@@ -76,7 +76,7 @@ def test_the_processes_of_a_command_find_it_too(
         text=True,
         check=False,
     )
-    monkeypatch.setattr(checked_file, "FILES_OF_PROCESSES", 1000)
+    monkeypatch.setattr(file_commands, "FILES_OF_PROCESSES", 1000)
     assert result.stdout == thorvaldc("check", *names).out
     assert (result.returncode, result.stderr) == (1, "")
 
@@ -100,7 +100,7 @@ def test_a_process_that_is_killed_loses_no_file(
         raise BrokenProcessPool("a process was terminated abruptly")
 
     alone = [list(check_file(file, [], trust=False).report) for file in files]
-    monkeypatch.setattr(checked_file, "_of_processes", broken)
+    monkeypatch.setattr(file_commands, "_of_processes", broken)
     results = list(check_files(files, [], trust=False))
     assert [result.file for result in results] == files
     assert [list(result.report) for result in results] == alone

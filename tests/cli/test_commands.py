@@ -335,7 +335,7 @@ def test_new_asks_a_terminal_until_the_answers_are_right(
     thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = iter(["3wd", "2wd0ws", "my-robot", "", "4wd4ws"])
-    monkeypatch.setattr("thorvaldc.cli.commands.new._is_terminal", lambda: True)
+    monkeypatch.setattr("thorvaldc.cli.library_commands._is_terminal", lambda: True)
     monkeypatch.setattr("builtins.input", lambda question: next(answers))
     status, out, _ = thorvaldc("new")
     assert status == 0

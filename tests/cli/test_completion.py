@@ -19,7 +19,7 @@ import pytest
 from tests.cli.conftest import Command, needs_tools
 from tests.cli.test_command_table import HEAVY
 from tests.examples import FOLDER
-from thorvaldc.cli.completion import joined_words
+from thorvaldc.cli.main import joined_words
 from thorvaldc.runtime.control_channel import ControlServer
 from thorvaldc.runtime.service_table import Services
 

@@ -16,7 +16,7 @@ from tests.child_process import ChildProcess
 # The command `targets` with another body.
 SCRIPT = """
 import sys, os, time
-import thorvaldc.cli.commands.build as command
+import thorvaldc.cli.file_commands as command
 def targets(json: bool = False) -> int:
 {body}
 command.targets = targets

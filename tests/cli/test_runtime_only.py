@@ -90,10 +90,14 @@ def test_a_missing_command_is_3_and_one_line(
 
 def test_an_unknown_command_may_be_one_of_the_compiler_or_misspelt(folder: Path) -> None:
     result = call(folder, "view", "model.json")
-    assert (result.returncode, result.stdout) == (3, "")
-    assert result.stderr.startswith("error: `thorvaldc view` is not available: this installation")
+    assert (result.returncode, result.stdout) == (2, "")
+    *_, error, note = result.stderr.splitlines()
+    assert error.startswith("Error: No such command 'view'.")
+    assert note.startswith("note: this installation is the runtime alone; to replace it: `pip")
     result = call(folder, "telop", "model.json")
     assert (result.returncode, "Did you mean 'teleop'?" in result.stderr) == (2, True)
+    result = call(folder, "can", "scan", "--nonsense")
+    assert (result.returncode, "note:" in result.stderr) == (2, False)
 
 
 def test_a_robot_file_needs_the_compiler(folder: Path) -> None:

@@ -138,7 +138,7 @@ def test_messages_are_written_at_once(unbuffered: str) -> None:
 
 def test_a_connection_that_breaks_is_no_reader_that_has_ended(folder: Path) -> None:
     script = (
-        "import thorvaldc.cli.commands.build as command\n"
+        "import thorvaldc.cli.file_commands as command\n"
         "def targets(json: bool = False) -> int:\n"
         "    raise BrokenPipeError(32, 'Broken pipe', 'control channel')\n"
         "command.targets = targets\n"

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from tests.cli.conftest import Command
 from tests.cli.test_command_table import PATHS
 from tests.slow import one_quick_of
-from thorvaldc.cli.command import find_command, load_command
+from thorvaldc.cli.main import click_command
 
 SCENARIO = """\
 thorvaldc: 1
@@ -73,16 +72,11 @@ OTHER_VALUES = {
 MISSING_FOLDER_IS_NEW = {("build", "--output"), ("demo", "--output"), ("modules new", "--library")}
 
 
-def _command(path: tuple[str, ...]) -> Any:
-    entry = find_command(" ".join(path))
-    assert entry is not None
-    return load_command(entry)
-
-
 def _wrong_usages() -> list[tuple[str, ...]]:
     cases: list[tuple[str, ...]] = []
     for path in PATHS:
-        command, name = _command(path), " ".join(path)
+        name = " ".join(path)
+        command = click_command(name)
         words = (*path, *ARGUMENTS.get(name, ["good.yaml"]))
         cases.append((*words, "--nonsense"))
         cases += [path] if any(p.required for p in command.params) else []
@@ -103,7 +97,7 @@ def _wrong_usages() -> list[tuple[str, ...]]:
 
 
 def test_every_kind_of_value_is_known() -> None:
-    options = [option for path in PATHS for option in _command(path).params]
+    options = [option for path in PATHS for option in click_command(" ".join(path)).params]
     metavars = {o.metavar for o in options if o.param_type_name == "option" and not o.is_flag}
     plain = {metavar for metavar in metavars if "|" not in metavar}
     assert plain - {*WRONG_VALUES, *OTHER_VALUES} == set()

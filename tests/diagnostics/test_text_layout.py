@@ -65,4 +65,3 @@ def test_markdown() -> None:
     aligned = ["| name |   m |", "| ---- | --: |", "| `fl` | 0.5 |"]
     assert list(markdown_table(rows, (1,), aligned=True)) == aligned
     assert markdown_text("a_b | `c` <d>") == r"a\_b \| \`c\` &lt;d&gt;"
-    assert markdown_text("`c_d`", code=True) == r"`c\_d`"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from thorvaldc.cli.command import all_commands, load_command
+from thorvaldc.cli.main import all_commands, click_command
 from thorvaldc.tool_folders import CommandEntry
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -17,7 +17,7 @@ PAGES = sorted(
 
 
 def options_of(entry: CommandEntry) -> set[str]:
-    parameters = load_command(entry).params
+    parameters = click_command(entry.name).params
     return {option for p in parameters for option in (*p.opts, *p.secondary_opts)} | {
         "-h",
         "--help",
@@ -60,13 +60,3 @@ def test_an_unknown_option_is_noticed() -> None:
     page += "```\n$ thorvaldc biuld F\n```\nthorvaldc is a compiler\n"
     assert unknown_options(page) == ["sim F --tvist 1", "biuld F"]
     assert unknown_options("`can scan --activ`") == ["can scan --activ"]
-
-
-def test_the_help_has_the_groups_of_the_page() -> None:
-    page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
-    parts = [part.partition("\n") for part in page.split("\n## ")]
-    rows = {title: re.findall(r"^\|([^|]*)", text, re.MULTILINE) for title, _, text in parts}
-    for entry in all_commands():
-        if not entry.group and not entry.hidden:
-            named = {word for cell in rows[entry.topic] for word in re.findall(r"[a-z]+", cell)}
-            assert entry.word in named, (entry.word, entry.topic)

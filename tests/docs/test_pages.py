@@ -126,7 +126,7 @@ def test_the_first_look_shows_what_the_commands_print(tmp_path: Path) -> None:
 
 
 def test_the_page_of_commands_names_every_command() -> None:
-    from thorvaldc.cli.command import all_commands
+    from thorvaldc.cli.main import all_commands
 
     page = (ROOT / "docs/commands.md").read_text(encoding="utf-8")
     for entry in all_commands():

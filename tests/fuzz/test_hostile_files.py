@@ -9,7 +9,7 @@ import pytest
 from tests.fuzz.generator import case_of, kinds
 from tests.fuzz.judge import judge, prepare
 from tests.slow import mostly_slow
-from thorvaldc.cli.command import all_commands
+from thorvaldc.cli.main import all_commands
 from thorvaldc.schema import KINDS
 
 pytestmark = pytest.mark.xdist_group("fuzz")  # every process would make the valid files again

@@ -1,5 +1,5 @@
-"""Prints diagnostics and results as coloured text, as plain text or in a machine-readable
-format."""
+"""What a command prints: diagnostics and results as coloured text, as plain text or in a
+machine-readable format, messages, and a progress bar."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 
@@ -18,8 +18,10 @@ from thorvaldc.cli.exits import DONE, INPUT, OUTSIDE
 from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.diagnostics.codes import STRUCTURE
 
+if TYPE_CHECKING:  # the runtime package has no simulation
+    from thorvaldc.simulation.control_loop import ControlLoop
+
 FORMATS = ("text", "json", "github", "sarif")
-RESULT_FORMATS = ("text", "json", "markdown")
 
 
 def check_format(name: str, known: Sequence[str] = FORMATS) -> None:
@@ -169,3 +171,56 @@ def print_table(rows: Iterable[tuple[str, str]]) -> None:
 def count(number: int, noun: str) -> str:
     """Returns a number with a noun in singular or plural, such as ``1 error`` or ``2 errors``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+# -- progress --------------------------------------------------------------------
+
+BAR_WIDTH = 30  # characters
+
+
+class Progress:
+    """A progress bar on stderr, which is shown only on a terminal.
+
+    - ``total``: value at which the progress bar is full.
+    - ``label``: text before the progress bar.
+    """
+
+    def __init__(self, total: float, unit: str = "s", label: str = "") -> None:
+        self.total = total
+        self.unit = unit
+        self.label = f"{label} " if label else ""
+        self.active = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+        self._shown_percent = -1
+
+    def show(self, value: float) -> None:
+        """Shows the progress bar for ``value`` of the total."""
+        percent = int(100 * min(value / self.total, 1.0)) if self.active else self._shown_percent
+        if percent != self._shown_percent:
+            self._shown_percent = percent
+            print(f"\r{self.line(value)}", end="", file=sys.stderr, flush=True)
+
+    def show_activity(self, activity: str, number: int, total: int) -> None:
+        """Shows how much of an activity is done, such as the requests of a scan."""
+        self.label, self.total = f"{activity} ", float(max(total, 1))
+        self.show(float(number))
+
+    def line(self, value: float) -> str:
+        """Returns the progress bar for ``value`` of the total as text.
+
+        The text is cut at the width of the terminal, because a wrapped line cannot be erased.
+        """
+        percent = int(100 * min(value / self.total, 1.0))
+        bar = f"[{'#' * (percent * BAR_WIDTH // 100):<{BAR_WIDTH}}]"
+        number = f"{value:.1f}" if self.unit == "s" else f"{value:.0f}"
+        line = f"{self.label}{bar} {percent:3d} %  {number} of {self.total:g} {self.unit}"
+        return line[: width_of(sys.stderr) - 1]
+
+    def watch(self, loop: ControlLoop) -> None:
+        """Shows the simulated time of a run in the progress bar."""
+        self.show(loop.driver.state.time)
+
+    def clear(self) -> None:
+        """Erases the progress bar from the terminal."""
+        if self._shown_percent >= 0:
+            self._shown_percent = -1
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)

@@ -12,9 +12,12 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TextIO
 
+from thorvaldc.diagnostics import OutsideError as OutsideError
 from thorvaldc.tool_folders import PluginError
 
 if TYPE_CHECKING:
@@ -30,8 +33,36 @@ INTERRUPTED, BROKEN_PIPE, TERMINATED = 130, 141, 143
 TRACEBACK_VARIABLE = "THORVALDC_TRACEBACK"
 
 
-class OutsideError(Exception):
-    """A failure of a disk, a display, a CAN bus or an installation, with a message on one line."""
+@contextmanager
+def write_errors(path: str | Path) -> Iterator[None]:
+    """Converts the exception for an unwritable file to ``OutsideError``."""
+    try:
+        yield
+    except OSError as error:
+        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
+
+
+# Both packages contain the same files, so a computer must not have both.
+RUNTIME_ALONE = (
+    "this installation is the runtime alone; to replace it: `pip uninstall thorvaldc-runtime`, then"
+    " `pip install` with the path of the wheel or the checkout of thorvaldc"
+)
+
+
+def is_runtime_only() -> bool:
+    """Returns whether only the package ``thorvaldc-runtime`` is installed, for the computer of a
+    robot.
+
+    It has the rooms ``runtime``, ``can``, ``commissioning``, ``model``, ``diagnostics`` and
+    ``cli``, and the tools ``monitor``, ``service_calls`` and ``teleoperation``.
+    """
+    return find_spec("thorvaldc.compiler") is None
+
+
+def check_full_installation(feature: str) -> None:
+    """Raises ``OutsideError`` if only the runtime package is installed."""
+    if is_runtime_only():
+        raise OutsideError(f"{feature} is not available: {RUNTIME_ALONE}")
 
 
 class Terminated(KeyboardInterrupt):

@@ -1,18 +1,182 @@
-"""Command-line options that several commands share, and the functions that parse their text."""
+"""Command-line options that several commands share, the values that a shell proposes for them, and
+the functions that parse their text."""
 
 from __future__ import annotations
 
+import functools
+import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
 
-from thorvaldc.cli.completion import bus_interfaces
-from thorvaldc.cli.exits import OutsideError
+from thorvaldc.cli.exits import OutsideError, write_errors
 
 T = TypeVar("T")
+
+# -- values that the shell proposes ----------------------------------------------
+#
+# A press of the Tab key starts the program, so the answer must come at once: a completer imports
+# what it needs when it is called.
+
+Values = Callable[[typer.Context, str], list[str]]
+
+
+def completer(propose: Callable[[typer.Context, str], Iterator[str]]) -> Values:
+    """Returns a completer with the proposed values that begin with the incomplete word.
+
+    A completer that fails proposes nothing.
+    """
+
+    @functools.wraps(propose)
+    def values(ctx: typer.Context, incomplete: str) -> list[str]:
+        try:
+            return [value for value in propose(ctx, incomplete) if value.startswith(incomplete)]
+        except Exception:
+            # A shell would print a traceback into the command line that the user types.
+            return []
+
+    return values
+
+
+@completer
+def target_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
+    """Proposes targets, also after a comma."""
+    from thorvaldc import backends
+
+    chosen = incomplete.split(",")[:-1]
+    for name in backends.names():
+        if name not in chosen:
+            yield ",".join([*chosen, name])
+
+
+@completer
+def preset_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
+    """Proposes the presets of new robots."""
+    from thorvaldc.compiler.scaffolding import presets
+
+    yield from presets()
+
+
+@completer
+def module_types(ctx: typer.Context, incomplete: str) -> Iterator[str]:
+    """Proposes the module types of the library and of the folders of ``--library``."""
+    from thorvaldc.compiler.modules.library import Library
+
+    folders = [(Path(name), name) for name in ctx.params.get("library") or ()]
+    yield from Library(folders).names()
+
+
+@completer
+def diagnostic_codes(ctx: typer.Context, incomplete: str) -> Iterator[str]:
+    """Proposes numbers of diagnostics, and names where the word begins as none."""
+    from thorvaldc.diagnostics.codes import all_codes
+
+    for code in all_codes():
+        yield code.number
+        if incomplete:
+            yield code.name
+
+
+@completer
+def schema_kinds(ctx: typer.Context, incomplete: str) -> Iterator[str]:
+    """Proposes the kinds of documents that have a schema."""
+    from thorvaldc.schema import KINDS
+
+    yield from (*KINDS, "model")
+
+
+@completer
+def view_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
+    """Proposes the named viewing directions of pictures."""
+    from thorvaldc.simulation.pictures.render import VIEWS
+
+    yield from VIEWS
+
+
+@completer
+def driver_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
+    """Proposes the running drivers of this user."""
+    yield from _socket_names("-control")
+
+
+@completer
+def service_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
+    """Proposes the services of the running driver in the argument NAME."""
+    from thorvaldc.runtime.control_channel import ControlClient
+
+    client = ControlClient(ctx.params["name"], answer_time=0.2)
+    try:
+        yield from (service["name"] for service in client.call("services"))
+    finally:
+        client.close()
+
+
+@completer
+def bus_interfaces(ctx: typer.Context, incomplete: str) -> Iterator[str]:
+    """Proposes CAN interfaces: simulated buses that run, SocketCAN, serial ports and the rest."""
+    name, equals, _ = incomplete.partition("=")
+    start = name + equals if equals else ""
+    yield start + "virtual"
+    yield from (f"{start}sim:{bus}" for bus in _socket_names("", without="-control"))
+    for interface in sorted(Path("/sys/class/net").glob("*can*")):
+        yield f"{start}socketcan:{interface.name}"
+    for port in (*Path("/dev").glob("ttyACM*"), *Path("/dev").glob("ttyUSB*")):
+        yield f"{start}slcan:{port}"
+    yield start + "udp"
+
+
+@completer
+def base_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
+    """Proposes the bases that ``teleop --on`` drives."""
+    yield from ("sim", "ideal", *bus_interfaces(ctx, ""))
+
+
+@completer
+def scenario_variables(ctx: typer.Context, incomplete: str) -> Iterator[str]:
+    """Proposes the paths of the numbers, texts and flags of the scenario, for ``--set``."""
+    from thorvaldc.compiler.source.reader import read_file
+    from thorvaldc.diagnostics import Report
+
+    # An option without its value ends the parsing, and the words before it are in ``args``.
+    words = (ctx.params.get("scenario"), ctx.params.get("file"), *ctx.args)
+    name = next(word for word in words if word and Path(word).is_file())
+    document = read_file(Path(name), name, Report())
+    if document is not None:
+        yield from (f"{path}=" for path in _paths(document.plain(), ""))
+
+
+def _paths(value: Any, path: str) -> Iterator[str]:
+    """Returns the paths of the values in a document that are neither mappings nor lists."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _paths(inner, f"{path}.{key}" if path else str(key))
+    elif path and not isinstance(value, list):
+        yield path
+
+
+def _socket_names(suffix: str, without: str = "\n") -> Iterator[str]:
+    """Returns the sorted names of the local sockets of this user that a program listens on."""
+    import socket
+
+    from thorvaldc.can.local_socket import runtime_directory
+
+    for path in sorted(runtime_directory().glob(f"*{suffix}.sock")):
+        name = path.name.removesuffix(".sock")
+        if name.endswith(without):
+            continue
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+            probe.settimeout(0.05)
+            try:
+                probe.connect(os.fspath(path))
+            except OSError:
+                continue  # the program was killed
+        yield name.removesuffix(suffix)
+
+
+# -- options ---------------------------------------------------------------------
 
 LONGEST = 86400.0
 """Longest duration in s that a user can request. A longer duration is probably a typing error."""
@@ -235,8 +399,5 @@ def check_output(path: str, suffixes: Sequence[str], option: str) -> None:
         raise typer.BadParameter(f"{path!r} does not end in {known}", param_hint=f"'{option}'")
     if target.is_dir():
         raise OutsideError(f"cannot write {path}: it is a folder")
-    try:
-        with tempfile.TemporaryFile(dir=target.parent):
-            pass
-    except OSError as error:
-        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
+    with write_errors(path), tempfile.TemporaryFile(dir=target.parent):
+        pass

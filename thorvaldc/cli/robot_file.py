@@ -1,26 +1,29 @@
 """The robot of a command: loaded from a robot.yaml or the model.json of a build, with the CAN bus
-that ``--bus`` selects."""
+that ``--bus`` selects, or simulated in the process of the command."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
-from thorvaldc.cli.command import is_runtime_only
 from thorvaldc.cli.diagnostic_output import message, report_of, show_report
-from thorvaldc.cli.exits import OutsideError
+from thorvaldc.cli.exits import INPUT, OutsideError, is_runtime_only
 from thorvaldc.cli.options import library_folders
 from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Bus, Fleet, Robot
 from thorvaldc.model.model_json import is_model_file, load_model
 
-if TYPE_CHECKING:  # the runtime package has no compiler
+if TYPE_CHECKING:  # the runtime package has no compiler and no simulation
     from thorvaldc.compiler.result import Compilation
     from thorvaldc.compiler.scenario.variations import Change
+    from thorvaldc.model.scenario import BusFault
+    from thorvaldc.simulation.bus.simulated_robot import Memory, SimulatedRobot
+    from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 
 SIMULATED = ("virtual", "sim", "udp")
 """Kinds of CAN interfaces that are not connected to hardware."""
@@ -42,19 +45,19 @@ class LoadedRobot(NamedTuple):
         return show_report(self.locate(report), self.sources)
 
 
-def load_robot(file: str, library: Sequence[str], trust: bool) -> LoadedRobot | None:
+def load_robot(file: str, library: Sequence[str], trust: bool) -> LoadedRobot:
     """Returns the robot model from a robot.yaml or from the model.json of a build.
 
     A model is known by its content and may have any name.
     ``trust`` is whether xacro files of a robot.yaml are expanded without restrictions.
-    If the robot file has errors, the function prints the errors and returns ``None``. Raises
+    If the robot file has errors, prints them and raises ``typer.Exit``. Raises
     ``typer.BadParameter`` if the file contains a fleet or anything else but a robot. Raises
     ``OutsideError`` for a robot.yaml if the compiler is not installed.
     """
     loaded = read_robot_file(file, library, trust)
     show_report(loaded.report, loaded.sources)
     if loaded.model is None:
-        return None
+        raise typer.Exit(INPUT)
     if not isinstance(loaded.model, Robot):
         raise typer.BadParameter(f"{file} is no robot", param_hint="FILE")
     return LoadedRobot(loaded.model, loaded.sources, loaded.locate)
@@ -173,3 +176,104 @@ def warn_once() -> None:
         mark.write_text("The note on untried hardware was shown.\n", encoding="utf-8")
     except OSError:
         return  # the next run shows it again
+
+
+# -- simulated robots, which need the compiler and the simulation ---------------
+
+
+def start_virtual_robot(
+    robot: Robot, file: str, physics: str, faults: str, seed: int | None, report: Report
+) -> SimulatedRobot:
+    """Returns the robot of ``virtual_robot`` with the power switched on."""
+    simulated = virtual_robot(robot, file, physics, faults, seed, report)
+    simulated.power_on()
+    return simulated
+
+
+def virtual_robot(
+    robot: Robot,
+    file: str,
+    physics: str,
+    faults: str,
+    seed: int | None,
+    report: Report,
+    *,
+    delivered: bool = False,
+    memory: Memory | None = None,
+) -> SimulatedRobot:
+    """Returns a simulated robot with a simulated device for each node of its CAN buses.
+
+    - ``faults``: path of a file with faults to inject, or empty for a run without faults.
+
+    Raises ``DiagnosticError`` if the fault file cannot be read or the robot cannot be simulated.
+    """
+    from thorvaldc.compiler.bus.injected_faults import read_faults
+    from thorvaldc.simulation.bus.fault_injection import FaultInjector
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+
+    script = read_faults(faults, robot, report) if faults else None
+    if seed is None:
+        seed = script.seed if script is not None else 0
+    base = make_mujoco_base(robot, file, report) if physics == "mujoco" else None
+    quirks = script.quirks if script is not None else ()
+    simulated = SimulatedRobot(
+        robot, seed=seed, base=base, delivered=delivered, nonvolatile=memory, quirks=quirks
+    )
+    if script is not None:
+        FaultInjector(simulated, script, _show_injected_fault)
+    return simulated
+
+
+@contextmanager
+def simulated_devices(
+    robot: Robot, store: str, *, delivered: bool = False
+) -> Iterator[SimulatedRobot]:
+    """Yields a simulated robot that stands and has power, for the commissioning of its devices.
+
+    ``store``: file with the non-volatile memory of the devices, which is written at the end.
+    """
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot, write_memory
+
+    simulated = SimulatedRobot(robot, delivered=delivered, nonvolatile=read_store(store, robot))
+    simulated.power_on()
+    simulated.run(0.2)
+    try:
+        yield simulated
+    finally:
+        if store:
+            write_memory(Path(store), simulated)
+
+
+def make_mujoco_base(robot: Robot, file: str, report: Report) -> MujocoBase:
+    """Loads a robot in MuJoCo and returns the base of the robot.
+
+    ``file`` is the robot.yaml of the robot or the model.json of a build.
+    """
+    from thorvaldc.compiler.pipeline import emit
+    from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+    from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
+
+    # The mesh files of a build are next to model.json, in the same folder.
+    files = Path(file).parent if is_model_file(file) else emit(robot, ["mjcf"], report)
+    return MujocoBase(robot, MujocoScene(files))
+
+
+def read_store(store: str, robot: Robot) -> Memory:
+    """Returns the non-volatile memory of the simulated devices from the file of the option
+    ``--store``.
+
+    If the file has errors, prints them and raises ``typer.Exit``.
+    """
+    from thorvaldc.simulation.bus.simulated_robot import read_memory
+
+    report = Report()
+    memory = read_memory(Path(store), robot, report) if store else {}
+    if memory is None:
+        raise typer.Exit(show_report(report, {store: Path(store)}))
+    return memory
+
+
+def _show_injected_fault(time: float, fault: BusFault, begins: bool) -> None:
+    kind = fault.kind.replace("_", " ")
+    node = f" of {fault.node}" if fault.node is not None else ""
+    message(f"{time:8.3f} s  simulated: {kind}{node}{'' if begins else ' ends'}")

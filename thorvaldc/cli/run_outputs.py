@@ -12,15 +12,13 @@ from pathlib import Path
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import message
-from thorvaldc.cli.exits import OutsideError, closing_when_terminated
+from thorvaldc.cli.diagnostic_output import Progress, message
+from thorvaldc.cli.exits import OutsideError, closing_when_terminated, write_errors
 from thorvaldc.cli.options import check_output
-from thorvaldc.cli.progress import Progress
-from thorvaldc.compiler.recordings.ros_bag import MissingPackageError
 from thorvaldc.diagnostics.files import AtomicFile
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.simulation.control_loop import ControlLoop, Sample, TickCallback
-from thorvaldc.simulation.pictures import PictureError, check_pillow
+from thorvaldc.simulation.pictures import check_pillow
 from thorvaldc.simulation.pictures.plot import FORMATS as PLOT_FORMATS
 from thorvaldc.simulation.pictures.plot import check_plotting, plot
 from thorvaldc.simulation.pictures.render import FORMATS as VIDEO_FORMATS
@@ -132,37 +130,20 @@ def call_all(watches: Sequence[TickCallback]) -> TickCallback:
     return watch
 
 
-@contextmanager
-def write_errors(path: str) -> Iterator[None]:
-    """Converts the exception for an unwritable file or a missing package to ``OutsideError``."""
-    try:
-        yield
-    except MissingPackageError as error:
-        raise OutsideError(str(error)) from None
-    except OSError as error:
-        name = error.filename or path
-        raise OutsideError(f"cannot write {name}: {error.strerror or error}") from None
-
-
-@contextmanager
-def picture_errors() -> Iterator[None]:
-    """Converts the exception for a missing package or display to ``OutsideError``."""
-    try:
-        yield
-    except PictureError as error:
-        raise OutsideError(str(error)) from None
-
-
-class RunPictures:
-    """The plot and the video of a run. An empty path means that no plot or no video is drawn.
+class RunOutputs:
+    """The plot, the video, the record and the joint logs of a run.  An empty path: none.
 
     The constructor checks the options. Call ``check_installation`` when the files of the run are
-    read, ``watch`` in each tick of the simulation, and ``write`` after the run.
+    read, open ``outputs`` around the simulation, and call ``write`` after it.
     """
 
-    def __init__(self, plot: str, video: str = "", *, ideal: bool = False) -> None:
+    def __init__(
+        self, plot: str, video: str = "", record: str = "", log: str = "", *, ideal: bool = False
+    ) -> None:
         self.plot = plot
         self.video = video
+        self.record = record
+        self.log = log
         self._samples: dict[str, list[Sample]] = {}
         self._video_recorder: VideoRecorder | None = None
         if plot:
@@ -182,15 +163,32 @@ class RunPictures:
         Errors in options and files are reported first, because the user can correct them here.
         Call it before the import of MuJoCo, because it selects the OpenGL backend of MuJoCo.
         """
-        with picture_errors():
-            if self.plot:
-                check_plotting()
-            if self.video:
-                if _suffix(self.video) == "gif":
-                    check_pillow()
-                else:
-                    encoder()
-                choose_opengl_backend()
+        if self.plot:
+            check_plotting()
+        if self.video:
+            if _suffix(self.video) == "gif":
+                check_pillow()
+            else:
+                encoder()
+            choose_opengl_backend()
+
+    @contextmanager
+    def open(
+        self, robots: Robots, groups: Sequence[str], every: float, duration: float
+    ) -> Iterator[tuple[Sequence[Recorder], TickCallback]]:
+        """Opens the record and the logs, and yields the recorders and what is called in each tick.
+
+        - ``every``: recording period in s.
+        - ``duration``: expected duration of the run in s, for the progress bar.
+        """
+        with ExitStack() as stack:
+            recorders = open_recorders(self.record, robots, groups, every, stack)
+            progress = Progress(duration)
+            watches: list[TickCallback] = [progress.watch, self.watch]
+            if self.log:
+                watches.append(open_joint_logs(self.log, robots, stack))
+            stack.callback(progress.clear)
+            yield recorders, call_all(watches)
 
     def watch(self, loop: ControlLoop) -> None:
         """Stores the current sample for the plot and the current scene for the video."""
@@ -205,20 +203,23 @@ class RunPictures:
         robots: Sequence[tuple[str, Robot]],
         files: Mapping[str, bytes] | None,
     ) -> None:
-        """Draws the plot and the video of the run. ``files`` contains the MJCF files of the robots
-        by path."""
-        with picture_errors():
-            if self.plot:
-                world = model.world if isinstance(model, Fleet) else None
-                plot(dict(robots), self._samples, self.plot, model.name, world)
-                message(self.plot)
-            if self._video_recorder is not None and files is not None:
-                progress = Progress(len(self._video_recorder), "pictures", self.video)
-                try:
-                    self._video_recorder.write(files, Path(self.video), progress=progress.show)
-                finally:
-                    progress.clear()
-                message(self.video)
+        """Draws the plot and the video of the run, and names the files on stderr.
+
+        ``files`` contains the MJCF files of the robots by path.
+        """
+        if self.record:
+            message(record_summary(self.record, robots))
+        if self.plot:
+            world = model.world if isinstance(model, Fleet) else None
+            plot(dict(robots), self._samples, self.plot, model.name, world)
+            message(self.plot)
+        if self._video_recorder is not None and files is not None:
+            progress = Progress(len(self._video_recorder), "pictures", self.video)
+            try:
+                self._video_recorder.write(files, Path(self.video), progress=progress.show)
+            finally:
+                progress.clear()
+            message(self.video)
 
 
 def _suffix(path: str) -> str:

@@ -321,6 +321,10 @@ class Report:
         return remaining
 
 
+class OutsideError(Exception):
+    """A failure of a disk, a display, a CAN bus or an installation, with a message on one line."""
+
+
 class DiagnosticError(Exception):
     """Raised if an operation fails for the reason in the diagnostic.
 

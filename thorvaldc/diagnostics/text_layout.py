@@ -191,11 +191,8 @@ def markdown_table(
         yield f"| {' | '.join(cells)} |"
 
 
-def markdown_text(text: str, *, code: bool = False) -> str:
-    """Returns a text in which no character has a meaning in Markdown.
-
-    ``code``: whether backticks keep theirs, for a text with names in backticks.
-    """
-    for character in "\\*_[]<>|#" if code else "\\`*_[]<>|#":
+def markdown_text(text: str) -> str:
+    """Returns a text in which no character has a meaning in Markdown."""
+    for character in "\\`*_[]<>|#":
         text = text.replace(character, "\\" + character)
     return text.replace("\\<", "&lt;").replace("\\>", "&gt;")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from thorvaldc.cli.command import all_commands, load_command
+from thorvaldc.cli.main import all_commands, click_command
 from thorvaldc.tool_folders import CommandEntry
 
 
@@ -23,7 +23,7 @@ def page() -> str:
 
 
 def section(name: str, entry: CommandEntry) -> Iterator[str]:
-    command = load_command(entry)
+    command = click_command(entry.name)
     parameters = [parameter for parameter in command.params if not parameter.hidden]
     arguments = [p for p in parameters if p.param_type_name == "argument"]
     options = [p for p in parameters if p.param_type_name == "option"]

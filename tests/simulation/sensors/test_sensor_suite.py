@@ -70,8 +70,8 @@ def test_a_run_without_sensors_imports_nothing_for_them(tmp_path: Path) -> None:
         f"robots: {{r: {{robot: {Path('examples/4wd4ws_wide/robot.yaml').resolve()}}}}}\n{CURVE}"
     )
     program = (
-        "import sys\nfrom thorvaldc.cli.main import main\n"
-        "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
+        "import sys\nfrom thorvaldc.cli.main import run_command\n"
+        "assert run_command() == 0\n"
         "print([m for m in sys.modules if m.startswith('thorvaldc.simulation.sensors')])"
     )
     command = [sys.executable, "-c", program, "scenario", str(tmp_path / "s.yaml")]

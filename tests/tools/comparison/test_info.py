@@ -43,18 +43,6 @@ def test_json_of_a_robot(thorvaldc: Command) -> None:
     assert facts["size"]["wheelbase"] == pytest.approx(1.1, abs=0.2)
     assert sum(wheel["share"] for wheel in facts["wheels"]) == pytest.approx(1.0)
     assert set(facts["stability"]["angles"]) == {"front", "left", "rear", "right"}
-    assert result.out == thorvaldc("info", "good.yaml", "--format", "json").out
-
-
-def test_markdown_has_a_table_for_each_title(thorvaldc: Command) -> None:
-    lines = thorvaldc("info", "good.yaml", "--format", "markdown").out.splitlines()
-    assert lines[0] == "# good"
-    titles = [i for i, line in enumerate(lines) if line.startswith("## ")]
-    assert len(titles) > 8
-    for i in titles:
-        assert lines[i + 2].startswith("|")
-        assert set(lines[i + 3]) <= set("|-: ")
-        assert lines[i + 2].count("|") == lines[i + 3].count("|")
 
 
 def test_a_fleet_has_the_facts_of_each_robot(thorvaldc: Command) -> None:
@@ -85,9 +73,3 @@ def test_a_robot_with_errors_has_no_facts(thorvaldc: Command) -> None:
     assert result.status == 1
     assert result.out == ""
     assert "error" in result.err
-
-
-def test_an_unknown_format(thorvaldc: Command) -> None:
-    result = thorvaldc("info", "good.yaml", "--format", "yaml")
-    assert result.status == 2
-    assert "text, json, markdown" in result.err

@@ -167,7 +167,7 @@ def test_one_bus_of_several(drives: str) -> None:
     assert rows[0].reactions[DRIVING].reason == (
         "the CAN controller of the bus `port` is off the bus (bus-off)"
     )
-    lines = [line for line in markdown(matrix, rows, "robot.yaml") if line.startswith("- Yaw")]
+    lines = [line for line in markdown(matrix, rows, [], "robot.yaml") if line.startswith("- Yaw")]
     assert len(lines) == 2
     for bound, line in zip(swerve_bounds(model), lines, strict=True):
         assert f" {math.ceil(math.degrees(bound.yaw))} deg if " in line

@@ -55,9 +55,6 @@ async def answers(editor: Editor, uri: str, position: types.Position) -> None:
     await client.text_document_references_async(
         types.ReferenceParams(types.ReferenceContext(True), document, position)
     )
-    await client.text_document_formatting_async(
-        types.DocumentFormattingParams(document, types.FormattingOptions(2, True))
-    )
     await client.text_document_code_action_async(
         types.CodeActionParams(
             document, types.Range(position, position), types.CodeActionContext([])

@@ -35,7 +35,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
-from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics import OutsideError, Report
 from thorvaldc.diagnostics import files as file_access
 
 MANIFEST = "manifest.json"
@@ -43,11 +43,8 @@ _MAX_MANIFEST_BYTES = 16_000_000
 FORMAT = "thorvaldc-manifest"
 
 
-class WriteError(Exception):
-    """Exception: the files of a build cannot be written.
-
-    The message of the exception is one line of text for the user.
-    """
+class WriteError(OutsideError):
+    """The files of a build cannot be written."""
 
 
 def manifest(

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, limited_worker
-from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics import OutsideError, Report, Span
 from thorvaldc.diagnostics.files import MAX_LOG_BYTES, check_regular, read_bounded
 from thorvaldc.diagnostics.installation import install_command
 
@@ -46,11 +46,8 @@ _MEMORY_OF_SMALL_BAG = 256_000_000
 _EXPANSION = 25
 
 
-class MissingPackageError(Exception):
-    """Raised if an optional Python package is not installed.
-
-    The message of the exception is one line that explains how to install the Python package.
-    """
+class MissingPackageError(OutsideError):
+    """An optional Python package is not installed; the message explains how to install it."""
 
 
 def require_rosbags() -> None:

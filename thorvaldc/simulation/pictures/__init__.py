@@ -11,14 +11,12 @@ package.
 
 from __future__ import annotations
 
+from thorvaldc.diagnostics import OutsideError
 from thorvaldc.diagnostics.installation import install_command
 
 
-class PictureError(Exception):
-    """A package or a graphics driver that pictures require is missing.
-
-    The message of the error is one line for the user.
-    """
+class PictureError(OutsideError):
+    """A package or a graphics driver that pictures require is missing."""
 
 
 def check_pillow() -> None:

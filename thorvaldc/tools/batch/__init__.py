@@ -1,12 +1,7 @@
 """Runs many variations of a scenario; begin at ``scenario_batch``."""
 
-from thorvaldc.tool_folders import SIMULATION, CommandEntry
+from thorvaldc.tool_folders import CommandEntry
 
 COMMANDS = (
-    CommandEntry(
-        "batch",
-        "batch_command:batch",
-        "Run variations of a scenario in parallel.",
-        topic=SIMULATION,
-    ),
+    CommandEntry("batch", "batch_command:batch", "Run variations of a scenario in parallel."),
 )

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thorvaldc.cli import completion, options
-from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli import options
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError, write_errors
 
 if TYPE_CHECKING:
     from thorvaldc.tools.batch.scenario_batch import Batch, ResultFile, Run
@@ -27,7 +27,7 @@ def batch(
         typer.Option(
             "--set",
             metavar="PATH=VALUES",
-            autocompletion=completion.scenario_variables,
+            autocompletion=options.scenario_variables,
             help="Replace values of the scenario: world.friction=0.3,0.6 makes a run with each"
             " value, =0.3..0.9 draws values from the range.",
             show_default=False,
@@ -56,13 +56,12 @@ def batch(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output, simulation_runs
+    from thorvaldc.cli import diagnostic_output
+    from thorvaldc.cli.simulation_commands import plan_runs
     from thorvaldc.simulation.worker_processes import processors
     from thorvaldc.tools.batch import scenario_batch
 
-    planned = simulation_runs.plan_runs(
-        file, settings, draws, seed, from_document=variations or not settings
-    )
+    planned = plan_runs(file, settings, draws, seed, from_document=variations or not settings)
     if planned is None:
         return INPUT
     gc.enable()
@@ -75,10 +74,8 @@ def batch(
     failed_compilation = planned_batch.check()
     if failed_compilation is not None:
         return diagnostic_output.show_report(failed_compilation.report, failed_compilation.sources)
-    try:
+    with write_errors(output):
         result_file = scenario_batch.ResultFile(Path(output)) if output else None
-    except OSError as error:
-        raise OutsideError(f"cannot write {output}: {error.strerror or error}") from None
     runs = _collect_runs(planned_batch, process_count, result_file, json)
     failed_runs = [run for run in runs if run.errors]
     for run in failed_runs[:SHOWN_FAILURES]:
@@ -99,7 +96,7 @@ def _collect_runs(
     written.
     """
     from thorvaldc.cli import diagnostic_output
-    from thorvaldc.cli.progress import Progress
+    from thorvaldc.cli.diagnostic_output import Progress
     from thorvaldc.tools.batch import scenario_batch
 
     runs: list[Run] = []

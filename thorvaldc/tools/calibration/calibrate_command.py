@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thorvaldc.cli import options
-from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli import diagnostic_output, options, robot_file
+from thorvaldc.cli.diagnostic_output import message
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError, write_errors
+from thorvaldc.cli.robot_file import path_beside
+from thorvaldc.diagnostics import DiagnosticError, Report
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
@@ -44,8 +47,6 @@ def calibrate(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output, robot_file
-    from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.model import Robot
     from thorvaldc.runtime.run_time_parameters import Parameters as DriverParameters
     from thorvaldc.simulation.records.joint_csv import read_log
@@ -99,21 +100,17 @@ def calibrate(
 
 def _add_to_report(file: str, robot: Robot, result: CalibrationResult) -> None:
     """Adds a calibration to the report of the robot's first motion."""
-    from thorvaldc.cli.diagnostic_output import message
-    from thorvaldc.cli.robot_file import path_beside
     from thorvaldc.commissioning import commission_page, commission_report
-    from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.tools.calibration.calibration_file import as_report
 
     path = path_beside(file, robot, commission_report.SUFFIX)
     try:
         report = commission_report.read_report(path)
         report = dataclasses.replace(report, calibration=as_report(result))
-        commission_page.write_report(path, robot, report)
     except DiagnosticError as error:
         raise typer.BadParameter(error.diagnostic.message, param_hint="'--report'") from None
-    except OSError as error:
-        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
+    with write_errors(path):
+        commission_page.write_report(path, robot, report)
     message(f"added to {path}")
 
 

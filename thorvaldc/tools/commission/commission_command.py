@@ -13,12 +13,21 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thorvaldc.cli import options
-from thorvaldc.cli.completion import bus_interfaces
-from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.diagnostic_output import message, print_json, table_width
+from thorvaldc.cli.exits import DONE, INPUT, check_full_installation, write_errors
+from thorvaldc.cli.options import bus_interfaces
+from thorvaldc.cli.robot_file import (
+    LoadedRobot,
+    is_hardware,
+    load_robot,
+    path_beside,
+    simulated_devices,
+    warn_once,
+)
+from thorvaldc.diagnostics import DiagnosticError, Report
 
 if TYPE_CHECKING:
     from thorvaldc.can.frame import CanInterface
-    from thorvaldc.cli.robot_file import LoadedRobot
     from thorvaldc.commissioning.commission_report import CheckedMotor, CommissionReport
     from thorvaldc.commissioning.scan_result import ScanEntry
     from thorvaldc.model import Robot
@@ -65,17 +74,13 @@ def commission(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli.robot_file import load_robot, path_beside
     from thorvaldc.commissioning.commission_report import SUFFIX
-    from thorvaldc.diagnostics import DiagnosticError, Report
 
     if bus != "virtual" and not sys.stdin.isatty():
         raise typer.BadParameter("needs a terminal to ask at", param_hint="'--bus'")
     if bus != "virtual":
         options.refuse_options({"--store": store}, "is for a simulated robot, --bus virtual")
     loaded = load_robot(file, library, trust)
-    if loaded is None:
-        return INPUT
     path = Path(report) if report else path_beside(file, loaded.robot, SUFFIX)
     if path.suffix != ".json":
         raise typer.BadParameter(f"{path} must end in .json", param_hint="'--report'")
@@ -131,11 +136,8 @@ class _ReportFile:
         from thorvaldc.commissioning.commission_page import write_report
 
         report = self.content(interruption)
-        try:
+        with write_errors(self.path):
             write_report(self.path, self.robot, report)
-        except OSError as error:
-            reason = error.strerror or error
-            raise OutsideError(f"cannot write {self.path}: {reason}") from None
         return report
 
     def content(self, interruption: str) -> CommissionReport:
@@ -162,7 +164,6 @@ def _commission(
     locks: contextlib.ExitStack,
 ) -> int:
     """Checks all motors, prints the report and returns the exit status."""
-    from thorvaldc.cli.diagnostic_output import message, print_json, table_width
     from thorvaldc.commissioning.commission_report import identity_note, shortcomings
     from thorvaldc.commissioning.scanner import scan_robot
     from thorvaldc.tools.commission.report_content import calibration_text, summary
@@ -199,7 +200,6 @@ def _check_motors(
     file: _ReportFile, interfaces: Mapping[str, CanInterface], operator: Operator, *, threaded: bool
 ) -> str:
     """Checks the motors; returns the reason why the checks ended before their end, or nothing."""
-    from thorvaldc.cli.diagnostic_output import message
     from thorvaldc.commissioning.scanner import with_serial_numbers
     from thorvaldc.tools.commission.motor_checks import MotorChecks
     from thorvaldc.tools.commission.motor_session import MotorSession
@@ -232,8 +232,6 @@ def _open(
 ) -> tuple[Mapping[str, CanInterface], Operator]:
     """Returns the CAN interface of each bus, and the operator."""
     from thorvaldc.can.open_interface import lock_buses, open_interfaces
-    from thorvaldc.cli.command import check_full_installation
-    from thorvaldc.cli.robot_file import is_hardware, warn_once
     from thorvaldc.tools.commission.console_operator import ConsoleOperator
 
     robot = loaded.robot
@@ -244,15 +242,9 @@ def _open(
             warn_once()
         return interfaces, ConsoleOperator(robot)
     check_full_installation("`--bus virtual`")
-    from thorvaldc.cli.virtual_robot import read_store
-    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot, write_memory
     from thorvaldc.tools.commission.simulated_operator import SimulatedOperator
 
-    simulated = SimulatedRobot(robot, nonvolatile=read_store(store, robot))
-    if store:
-        locks.callback(write_memory, Path(store), simulated)
-    simulated.power_on()
-    simulated.run(0.2)
+    simulated = locks.enter_context(simulated_devices(robot, store))
     return {
         each.name: simulated.interface(each.name, fifo=True, receive_limit=100_000)
         for each in robot.buses
@@ -261,8 +253,7 @@ def _open(
 
 def _offer_calibration(path: Path, text: str, *, asks: bool) -> None:
     """Shows the measured zeros, and writes a calibration file if the operator agrees."""
-    from thorvaldc.cli.bus_access import agrees
-    from thorvaldc.cli.diagnostic_output import message
+    from thorvaldc.cli.can_commands import agrees
     from thorvaldc.commissioning.commission_report import SUFFIX
     from thorvaldc.diagnostics.files import write_file
 
@@ -270,7 +261,5 @@ def _offer_calibration(path: Path, text: str, *, asks: bool) -> None:
     message(f"measured zeros, for a calibration file (`calibration: {target.name}`):\n{text}")
     if not asks or target.exists() or not agrees(f"Write {target}?"):
         return
-    try:
+    with write_errors(target):
         write_file(target, text)
-    except OSError as error:
-        raise OutsideError(f"cannot write {target}: {error.strerror or error}") from None

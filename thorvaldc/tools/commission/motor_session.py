@@ -145,13 +145,11 @@ class MotorSession:
         interfaces: Mapping[str, CanInterface],
         *,
         threaded: bool = True,
-        paced: bool = False,
     ) -> None:
         """The arguments and errors are those of ``RunSession``."""
         self.base = SingleMotorBase(robot, interfaces, threaded=threaded)
         clock = interfaces[robot.buses[0].name]
-        factor = (1.0 if paced else None) if not threaded else None
-        self.driven = DrivenRobot(robot, self.base, clock, factor=factor, arming=REQUIRED)
+        self.driven = DrivenRobot(robot, self.base, clock, arming=REQUIRED)
         driver = self.driven.driver
         self.driven.multiplexer.add_source(
             TwistInput(SOURCE, "", 0, driver.settings.command_timeout)

@@ -9,15 +9,14 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli import options
+from thorvaldc.cli import diagnostic_output, options
 from thorvaldc.cli.exits import DONE, INPUT
+from thorvaldc.cli.options import check_output
 
 ANY_MODEL = (
     "A robot.yaml, a fleet.yaml, a build folder, or a file of a git revision: HEAD~1:robot.yaml."
 )
-ResultFormat = Annotated[
-    str, typer.Option("--format", metavar="text|json|markdown", help="Output format.")
-]
+FORMATS = ("text", "json", "markdown")
 
 
 def diff(
@@ -26,7 +25,9 @@ def diff(
         typer.Argument(metavar="A", help=ANY_MODEL),
     ],
     after: Annotated[str, typer.Argument(metavar="B", help="The robot to compare with A.")],
-    format: ResultFormat = "text",
+    format: Annotated[
+        str, typer.Option("--format", metavar="text|json|markdown", help="Output format.")
+    ] = "text",
     json: options.Json = False,
     everything: Annotated[
         bool, typer.Option("--all", help="List derived values as well, such as poses and shapes.")
@@ -41,15 +42,13 @@ def diff(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output
-    from thorvaldc.cli.options import check_output
     from thorvaldc.comparison import difference_text
     from thorvaldc.comparison.robot_comparison import compare_models
     from thorvaldc.diagnostics.files import write_file
     from thorvaldc.model import Fleet
     from thorvaldc.tools.comparison import compared_inputs, comparison_output
 
-    diagnostic_output.check_format(format, diagnostic_output.RESULT_FORMATS)
+    diagnostic_output.check_format(format, FORMATS)
     if html:
         check_output(html, ["html", "htm"], "--html")
     folders = options.library_folders(library)
@@ -89,7 +88,6 @@ def info(
         str,
         typer.Argument(metavar="ROBOT", help=ANY_MODEL),
     ],
-    format: ResultFormat = "text",
     json: options.Json = False,
     everything: Annotated[
         bool, typer.Option("--all", help="List every module with the source of its mass.")
@@ -97,13 +95,11 @@ def info(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output
     from thorvaldc.model import Fleet
     from thorvaldc.model.facts.robot_facts import facts_document, robot_facts
     from thorvaldc.tools.comparison.compared_inputs import read_input
-    from thorvaldc.tools.comparison.comparison_output import facts_markdown, facts_text
+    from thorvaldc.tools.comparison.comparison_output import facts_text
 
-    diagnostic_output.check_format(format, diagnostic_output.RESULT_FORMATS)
     with ExitStack() as temporary:
         loaded = read_input(file, temporary, options.library_folders(library), trust=trust)
         status = diagnostic_output.show_report(loaded.report, loaded.sources)
@@ -114,12 +110,10 @@ def info(
         facts = {place.name: robot_facts(place.robot) for place in model.placements}
     else:
         facts = {"": robot_facts(model)}
-    if json or format == "json":
+    if json:
         documents = {name: facts_document(each) for name, each in facts.items()}
         document = documents.get("") or {"name": model.name, "robots": documents}
         diagnostic_output.print_json(document)
-    elif format == "markdown":
-        sys.stdout.write("\n".join(map(facts_markdown, facts.values())))
     else:
         texts = (facts_text(each, everything=everything) for each in facts.values())
         sys.stdout.write("\n".join(texts))

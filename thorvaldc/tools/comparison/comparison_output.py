@@ -1,4 +1,4 @@
-"""What the commands write: facts as text and as Markdown, and a comparison as a web page."""
+"""What the commands write: facts as text, and a comparison as a web page."""
 
 from __future__ import annotations
 
@@ -13,45 +13,29 @@ from thorvaldc.model.facts.fact_page import escape, table_html
 from thorvaldc.model.facts.fact_tables import FactTable, fact_tables
 from thorvaldc.model.facts.robot_facts import RobotFacts
 
+WIDTH = 80
 _LONG = ("modules", "sources")
 """Tables that the text leaves out by default, because the bill of modules sums them up."""
 
 
-def facts_text(facts: RobotFacts, width: int = 80, *, everything: bool = False) -> str:
-    """Returns the facts as text whose lines have at most ``width`` characters.
+def facts_text(facts: RobotFacts, *, everything: bool) -> str:
+    """Returns the facts as text for a terminal of ``WIDTH`` columns.
 
     ``everything``: whether the text has the tables of every module and source.
     """
-    lines = [facts.name, *textwrap.wrap(facts.description, width)]
+    lines = [facts.name, *textwrap.wrap(facts.description, WIDTH)]
     for table in fact_tables(facts):
         if everything or table.key not in _LONG:
-            text = text_layout.text_table(_rows(table), width - len(text_layout.GAP), table.numeric)
+            text = text_layout.text_table(_rows(table), WIDTH - len(text_layout.GAP), table.numeric)
             lines += ["", table.title, textwrap.indent(text, text_layout.GAP)]
             for note in table.notes:
-                lines += text_layout.paragraph(note, width, text_layout.GAP)
-    return "\n".join(lines) + "\n"
-
-
-def facts_markdown(facts: RobotFacts) -> str:
-    """Returns the facts as Markdown."""
-    lines = [f"# {_markdown(facts.name)}"]
-    if facts.description:
-        lines += ["", _markdown(facts.description)]
-    for table in fact_tables(facts):
-        rows = [[_markdown(cell.strip()) for cell in row] for row in _rows(table)]
-        lines += ["", f"## {table.title}", "", *text_layout.markdown_table(rows, table.numeric)]
-        for note in table.notes:
-            lines += ["", _markdown(note)]
+                lines += text_layout.paragraph(note, WIDTH, text_layout.GAP)
     return "\n".join(lines) + "\n"
 
 
 def _rows(table: FactTable) -> list[tuple[str, ...]]:
     """Returns the titles of the columns, empty for a list of names and values, and the rows."""
     return [table.columns or ("",) * len(table.rows[0]), *table.rows]
-
-
-def _markdown(text: str) -> str:
-    return text_layout.markdown_text(text, code=True)
 
 
 def difference_page(difference: Difference, before: Robot | Fleet, after: Robot | Fleet) -> str:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thorvaldc import __version__
-from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.exits import DONE, INPUT
 
 if TYPE_CHECKING:
     from thorvaldc.diagnostics import Report
@@ -39,20 +39,16 @@ def demo(
     output: Annotated[str, typer.Option("--output", "-o", metavar="DIR")] = "build",
 ) -> int:
     from thorvaldc.cli import diagnostic_output
-    from thorvaldc.compiler.output.writer import WriteError
     from thorvaldc.simulation.simulation_result import result_table
 
     started = time.monotonic()
     outcomes: list[DemoOutcome] = []
-    try:
-        for outcome in run_demo(files, output):
-            outcomes.append(outcome)
-            if sys.stderr.isatty():
-                end = "\r" if len(outcomes) == len(files) else ""
-                text = f"\r{len(outcomes)} of {len(files)}"
-                print(text, end=end, file=sys.stderr, flush=True)
-    except WriteError as error:
-        raise OutsideError(str(error)) from None
+    for outcome in run_demo(files, output):
+        outcomes.append(outcome)
+        if sys.stderr.isatty():
+            end = "\r" if len(outcomes) == len(files) else ""
+            text = f"\r{len(outcomes)} of {len(files)}"
+            print(text, end=end, file=sys.stderr, flush=True)
     statuses = [
         diagnostic_output.show_report(outcome.report, outcome.sources) for outcome in outcomes
     ]

@@ -26,7 +26,7 @@ def faults(
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli import diagnostic_output, robot_file
-    from thorvaldc.cli.progress import Progress
+    from thorvaldc.cli.diagnostic_output import Progress
     from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.simulation.worker_processes import processors
     from thorvaldc.tools.fault_matrix import ground_faults
@@ -36,8 +36,6 @@ def faults(
     processes = options.parse_count(jobs, "--jobs", 1) or processors()
     number = options.parse_seed(seed) or 0
     loaded = robot_file.load_robot(file, library, trust)
-    if loaded is None:
-        return INPUT
     gc.enable()
     try:
         matrix = FaultMatrix(loaded.robot, parameters=parameters or None, seed=number)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from thorvaldc.cli import options
+from thorvaldc.cli.diagnostic_output import show_report
 from thorvaldc.cli.exits import OutsideError
 
 
@@ -23,26 +22,17 @@ def import_original(
         str,
         typer.Option("--output", "-o", metavar="OUT", help="File to write.", show_default="stdout"),
     ] = "",
-    format: options.Format = "text",
 ) -> int:
-    from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format
     from thorvaldc.tools.importer.original_import import import_original as convert
 
-    check_format(format)
-    if format != "text" and not output:
-        raise typer.BadParameter(
-            f"stdout has the diagnostics as {format}; name a file for the robot with -o",
-            param_hint="'--format'",
-        )
     result = convert(Path(file))
-    shown = DiagnosticOutput(format, sys.stderr)
-    shown.add(result.report, {file: Path(file)})
+    status = show_report(result.report, {file: Path(file)})
     if result.text is not None and output:
         _write_new_file(Path(output), result.text)
-        shown.result(output)
+        print(output)
     elif result.text is not None:
         print(result.text, end="")
-    return shown.finish()
+    return status
 
 
 def _write_new_file(path: Path, text: str) -> None:

@@ -270,7 +270,6 @@ _TRUE = ("true", "yes", "on", "y", "1", "1.0")
 _FALSE = ("false", "no", "off", "n", "0", "0.0")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _ANGLE = re.compile(r"(deg|rad)\((.+)\)")
-_MULTIPLE_OF_PI = re.compile(r"(-?)(?:([\d.]+)\*)?pi(?:/([\d.]+))?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -449,7 +448,7 @@ def _number(node: Node) -> float | None:
     Returns ``None`` if the value is not a finite number.
 
     ROS 1 accepts the number formats of YAML 1.1, such as ``0x1F``, ``017`` and ``1_000``.  ROS 1
-    also accepts angles such as ``deg(90)`` and ``rad(2*pi/3)``.  An angle is converted to radians.
+    also accepts angles such as ``deg(90)``.  An angle is converted to radians.
     """
     if not isinstance(node.value, str):
         return None
@@ -457,15 +456,6 @@ def _number(node: Node) -> float | None:
     angle = _ANGLE.fullmatch(text)
     if angle is not None:
         factor = math.pi / 180 if angle[1] == "deg" else 1.0
-        multiple = _MULTIPLE_OF_PI.fullmatch(angle[2].replace(" ", ""))
-        if multiple is not None:
-            numerator, denominator = (
-                float(part) if part and _NUMBER.fullmatch(part) else 1.0
-                for part in multiple.groups()[1:]
-            )
-            if denominator == 0.0:
-                return None
-            return factor * (-1 if multiple[1] else 1) * numerator * math.pi / denominator
         return factor * float(angle[2]) if _NUMBER.fullmatch(angle[2]) else None
     if not node.quoted and re.fullmatch(r"[-+]?0[0-7]+", text):
         return float(int(text, 8))  # a leading zero means octal in YAML 1.1

@@ -78,7 +78,6 @@ class ThorvaldcServer(LanguageServer):
         )
         self._request(types.TEXT_DOCUMENT_DEFINITION, features.definition)
         self._request(types.TEXT_DOCUMENT_DOCUMENT_SYMBOL, features.symbols)
-        self._request(types.TEXT_DOCUMENT_FORMATTING, features.formatting)
         self._request(types.TEXT_DOCUMENT_REFERENCES, features.references)
         self._request(types.TEXT_DOCUMENT_PREPARE_RENAME, features.prepare_rename)
         self._request(

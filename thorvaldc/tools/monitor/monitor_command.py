@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thorvaldc.cli import completion, options
-from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli import diagnostic_output, options, robot_file
+from thorvaldc.cli.exits import DONE, OutsideError
+from thorvaldc.diagnostics import DiagnosticError
 
 if TYPE_CHECKING:
     from thorvaldc.can.frame import CanInterface
@@ -32,7 +33,7 @@ def monitor(
         typer.Option(
             "--bus",
             metavar="BUS",
-            autocompletion=completion.bus_interfaces,
+            autocompletion=options.bus_interfaces,
             help="sim:NAME, slcan:PORT, socketcan:can0, udp, or INTERFACE:CHANNEL of python-can;"
             " for a robot with several buses NAME=BUS.",
         ),
@@ -55,8 +56,6 @@ def monitor(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output, robot_file
-    from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.tools.monitor import monitor_view
     from thorvaldc.tools.monitor.bus_monitor import BusMonitor
 
@@ -66,8 +65,6 @@ def monitor(
     if interval:
         period = options.parse_duration(interval, "--interval", SHORTEST)
     loaded = robot_file.load_robot(file, library, trust)
-    if loaded is None:
-        return INPUT
     try:
         model_bus, interface_name = robot_file.select_bus(loaded.robot, bus)
         interface = _open(interface_name, model_bus)

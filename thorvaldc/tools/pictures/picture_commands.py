@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli import completion, options
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 
@@ -29,14 +29,14 @@ def render(
         typer.Option(
             "--view",
             metavar="VIEW",
-            autocompletion=completion.view_names,
+            autocompletion=options.view_names,
             help="corner, front, rear, left, right, top, or azimuth,elevation in degrees.",
         ),
     ] = "corner",
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output, robot_file, run_outputs
+    from thorvaldc.cli import diagnostic_output, robot_file
     from thorvaldc.compiler.pipeline import emit
     from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.diagnostics.files import write_file
@@ -57,11 +57,10 @@ def render(
         options.check_output(path, ["png"], "--output")
     report = Report()
     try:
-        with run_outputs.picture_errors():
-            check_pillow()
-            choose_opengl_backend()  # before MuJoCo is imported
-            files = emit(model, ["mjcf"], report)
-            picture = draw(model, files, pixels, camera)
+        check_pillow()
+        choose_opengl_backend()  # before MuJoCo is imported
+        files = emit(model, ["mjcf"], report)
+        picture = draw(model, files, pixels, camera)
     except DiagnosticError as error:
         report.put(error.diagnostic)
     else:

@@ -10,8 +10,9 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli import options
+from thorvaldc.cli import diagnostic_output, options
 from thorvaldc.cli.exits import DONE, OutsideError
+from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.installation import install_command
 
 MAX_PORT = 65535
@@ -29,9 +30,7 @@ def preview(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output
     from thorvaldc.compiler.source.reader import read_file
-    from thorvaldc.diagnostics import Report
 
     number = int(port) if port.isascii() and port.isdigit() else -1
     if not 0 <= number <= MAX_PORT:

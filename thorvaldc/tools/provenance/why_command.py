@@ -11,8 +11,8 @@ from typing import Annotated
 import typer
 
 from thorvaldc.cli import options
-from thorvaldc.cli.completion import completer
 from thorvaldc.cli.exits import DONE, INPUT
+from thorvaldc.cli.options import completer
 
 
 @completer
@@ -48,8 +48,7 @@ def why(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli.diagnostic_output import print_json, report_of, show_report
-    from thorvaldc.cli.progress import Progress
+    from thorvaldc.cli.diagnostic_output import Progress, print_json, report_of, show_report
     from thorvaldc.cli.robot_file import compile_and_show
     from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.model import Robot

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thorvaldc.cli import completion, options
+from thorvaldc.cli import diagnostic_output, options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def call(
         str,
         typer.Argument(
             metavar="NAME",
-            autocompletion=completion.driver_names,
+            autocompletion=options.driver_names,
             help="Name of the running driver.",
         ),
     ],
@@ -32,7 +32,7 @@ def call(
         str,
         typer.Argument(
             metavar="SERVICE",
-            autocompletion=completion.service_names,
+            autocompletion=options.service_names,
             help="Without a service, all are listed.",
         ),
     ] = "",
@@ -41,7 +41,6 @@ def call(
     ] = [],  # noqa: B006
     json: options.Json = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output
     from thorvaldc.runtime.control_channel import ControlClient
     from thorvaldc.runtime.service_table import ServiceError
 

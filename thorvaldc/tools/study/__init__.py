@@ -6,10 +6,10 @@
 - ``study_results``, ``study_report``: the results as a table and as a web page.
 """
 
-from thorvaldc.tool_folders import SIMULATION, CommandEntry
+from thorvaldc.tool_folders import CommandEntry
 
 COMMANDS = (
-    CommandEntry("study", "", "Find the best designs of a robot among many.", topic=SIMULATION),
+    CommandEntry("study", "", "Find the best designs of a robot among many."),
     CommandEntry(
         "study run", "study_commands:run_study", "Evaluate the designs of a study, or continue."
     ),

@@ -159,7 +159,7 @@ def write_report(
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli import diagnostic_output
-    from thorvaldc.cli.progress import Progress
+    from thorvaldc.cli.diagnostic_output import Progress
     from thorvaldc.diagnostics.files import write_file
     from thorvaldc.tools.study import study_report, study_results, study_run
     from thorvaldc.tools.study.study_definition import required

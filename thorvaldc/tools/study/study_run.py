@@ -22,10 +22,9 @@ from urllib.parse import urlsplit
 import typer
 
 from thorvaldc import __version__
-from thorvaldc.cli.diagnostic_output import has_color, message
+from thorvaldc.cli.diagnostic_output import Progress, has_color, message
 from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.options import library_folders
-from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.robot_file import compile_and_show
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result import Compilation

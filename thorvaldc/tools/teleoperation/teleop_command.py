@@ -9,13 +9,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thorvaldc.cli import completion, options
-from thorvaldc.cli.command import check_full_installation
-from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli import diagnostic_output, options, robot_file
+from thorvaldc.cli.diagnostic_output import message
+from thorvaldc.cli.exits import DONE, OutsideError, check_full_installation
+from thorvaldc.cli.robot_file import (
+    LoadedRobot,
+    is_hardware,
+    make_mujoco_base,
+    start_virtual_robot,
+    warn_once,
+)
+from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.diagnostics.installation import install_command
 
 if TYPE_CHECKING:
-    from thorvaldc.cli.robot_file import LoadedRobot
     from thorvaldc.model import Robot
     from thorvaldc.runtime.teleop_loop import Vehicle
     from thorvaldc.tools.teleoperation.joystick import Search
@@ -33,7 +40,7 @@ def teleop(
         typer.Option(
             "--on",
             metavar="BASE",
-            autocompletion=completion.base_names,
+            autocompletion=options.base_names,
             help="sim: MuJoCo; ideal: ideal joints; virtual: a simulated bus; or a bus as for"
             " `run --bus`.",
         ),
@@ -43,7 +50,7 @@ def teleop(
         typer.Option(
             "--to",
             metavar="NAME",
-            autocompletion=completion.driver_names,
+            autocompletion=options.driver_names,
             help="Drive the running driver of this name.",
         ),
     ] = "",
@@ -79,7 +86,6 @@ def teleop(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import robot_file
     from thorvaldc.runtime.pace import end_signals
     from thorvaldc.tools.teleoperation.keyboard import drive_from_console
 
@@ -95,8 +101,6 @@ def teleop(
     if map and not joystick:
         raise typer.BadParameter("is for a --joystick", param_hint="'--map'")
     loaded = robot_file.load_robot(file, library, trust) if file else None
-    if file and loaded is None:
-        return INPUT
     search = _joystick_search(joystick, map) if joystick else None
     if search is None and not sys.stdin.isatty():
         raise OutsideError("the keyboard needs a terminal, and standard input is none")
@@ -114,7 +118,6 @@ def teleop(
 
 
 def _connect(name: str) -> Vehicle:
-    from thorvaldc.cli.diagnostic_output import message
     from thorvaldc.runtime.control_channel import ControlClient
     from thorvaldc.runtime.teleop_loop import RemoteVehicle
 
@@ -133,8 +136,6 @@ def _start_driver(
 ) -> Vehicle:
     """Starts a base driver for the robot in this process."""
     from thorvaldc.can.open_interface import lock_buses
-    from thorvaldc.cli import diagnostic_output
-    from thorvaldc.diagnostics import DiagnosticError
 
     robot = loaded.robot
     channel = name or robot.name
@@ -151,12 +152,10 @@ def _start_driver(
 
 
 def _simulated_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicle:
-    from thorvaldc.diagnostics import Report
     from thorvaldc.model.settings import AUTOMATIC
     from thorvaldc.runtime.driven_robot import DrivenRobot
 
     check_full_installation(f"`--on {on}`")
-    from thorvaldc.cli.virtual_robot import make_mujoco_base
     from thorvaldc.simulation.physics.sim_base import SimBase
 
     base = make_mujoco_base(robot, file, Report()) if on == "sim" else SimBase(robot)
@@ -165,14 +164,10 @@ def _simulated_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicl
 
 def _bus_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicle:
     from thorvaldc.can.open_interface import open_interfaces
-    from thorvaldc.cli.robot_file import is_hardware, warn_once
-    from thorvaldc.diagnostics import Report
     from thorvaldc.runtime.run_session import RunSession
 
     if on == "virtual":
         check_full_installation("`--on virtual`")
-        from thorvaldc.cli.virtual_robot import start_virtual_robot
-
         simulated = start_virtual_robot(robot, file, "ideal", "", None, Report())
         interfaces = {bus.name: simulated.interface(bus.name, fifo=True) for bus in robot.buses}
         session = RunSession(robot, interfaces, channel=channel, threaded=False, paced=True)

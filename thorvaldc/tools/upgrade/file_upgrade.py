@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import re
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -86,11 +85,11 @@ def _has_present_version(document: Document, report: Report) -> bool:
     return not versions
 
 
-def upgrade_file(path: Path, context: Context, rules: Sequence[Rule] = RULES) -> Upgrade:
+def upgrade_file(path: Path, context: Context) -> Upgrade:
     """Returns what the rules do with a file.  Nothing is written."""
     upgrade = Upgrade(path)
     upgrade.before = upgrade.after = read_document(path, upgrade.report)
-    for rule in rules:
+    for rule in RULES:
         if upgrade.after is not None and upgrade.after.kind in rule.kinds:
             upgrade.after = _applied(rule, upgrade.after, context, upgrade)
     return upgrade

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thorvaldc.cli import options
+from thorvaldc.cli import diagnostic_output, options
+from thorvaldc.cli.diagnostic_output import count, message
 from thorvaldc.cli.exits import DONE, INPUT, OUTSIDE
+from thorvaldc.diagnostics import Report
 
 if TYPE_CHECKING:
     from thorvaldc.tools.upgrade.file_upgrade import Upgrade
@@ -31,8 +33,6 @@ def upgrade(
     ] = False,
     library: options.Library = [],  # noqa: B006
 ) -> int:
-    from thorvaldc.cli import diagnostic_output
-    from thorvaldc.diagnostics import Report
     from thorvaldc.diagnostics.report import grouped
     from thorvaldc.tools.upgrade.file_upgrade import kind_of_file, upgrade_file
     from thorvaldc.tools.upgrade.rules import Context
@@ -66,7 +66,6 @@ def upgrade(
 
 def _write(result: Upgrade) -> bool:
     """Replaces the file in one step, or leaves it as it was and prints the reason."""
-    from thorvaldc.cli.diagnostic_output import message
     from thorvaldc.diagnostics.files import write_file
 
     assert result.after is not None
@@ -79,8 +78,6 @@ def _write(result: Upgrade) -> bool:
 
 
 def _summary(result: Upgrade, dry_run: bool) -> str:
-    from thorvaldc.cli.diagnostic_output import count
-
     decisions = len(list(result.report)) - len(result.report.errors)
     parts = [f"{name} ({count(n, 'change')})" for name, n in result.changes.items()]
     verb = "would be upgraded" if dry_run else "upgraded"

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from thorvaldc.cli import options
-from thorvaldc.cli.exits import OutsideError
+from thorvaldc.cli.diagnostic_output import show_report
 
 
 def usd(
@@ -19,32 +18,23 @@ def usd(
     ],
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
-    format: options.Format = "text",
 ) -> int:
-    from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format
     from thorvaldc.compiler.pipeline import compile_file
     from thorvaldc.diagnostics.files import write_file
     from thorvaldc.model import Robot
-    from thorvaldc.tools.usd.usd_export import UsdError, export_usd
+    from thorvaldc.tools.usd.usd_export import export_usd
 
-    check_format(format)
     options.check_output(output, ("usda", "usdc"), "--output")
     folders = options.library_folders(library)
     compilation = compile_file(file, library=folders, trust=trust)
-    shown = DiagnosticOutput(format, sys.stderr)
     report, model = compilation.report, compilation.model
     if model is not None and not isinstance(model, Robot):
         raise typer.BadParameter(f"{file} is a fleet; name one of its robots", param_hint="'FILE'")
     data = None
     if model is not None and not report.has_errors:
-        try:
-            data = export_usd(model, Path(output).suffix.lower(), report)
-        except UsdError as error:
-            raise OutsideError(f"cannot write {output}: {error}") from None
-    shown.add(report, compilation.sources)
+        data = export_usd(model, Path(output).suffix.lower(), report)
+    status = show_report(report, compilation.sources)
     if data is not None:
-        path = Path(output)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, data)
-        shown.result(output)
-    return shown.finish()
+        write_file(Path(output), data)
+        print(output)
+    return status

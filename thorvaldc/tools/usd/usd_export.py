@@ -19,7 +19,7 @@ from thorvaldc.backends.description_parts import mesh_files, urdf_only_elements
 from thorvaldc.backends.mjcf import ros2_control_files
 from thorvaldc.backends.mjcf_robot import body_names
 from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, limited_worker
-from thorvaldc.diagnostics import CODES, Diagnostic, Report
+from thorvaldc.diagnostics import CODES, Diagnostic, OutsideError, Report
 from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.model import Inertial, Pose, Robot
 from thorvaldc.model.spatial import combine
@@ -36,11 +36,8 @@ _LIMITS = WorkerLimits(
 )
 
 
-class UsdError(Exception):
-    """Raised if the converter is not installed, fails, or makes a file that is not valid.
-
-    The message is one line.
-    """
+class UsdError(OutsideError):
+    """The converter is not installed, fails, or makes a file that is not valid."""
 
 
 def export_usd(robot: Robot, suffix: str, report: Report) -> bytes:

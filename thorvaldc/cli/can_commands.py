@@ -4,20 +4,45 @@ identities, values, periods and load."""
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import sys
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from thorvaldc.cli import options
-from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.diagnostic_output import (
+    Progress,
+    count,
+    message,
+    print_json,
+    report_of,
+    table_width,
+)
+from thorvaldc.cli.exits import DONE, INPUT, check_full_installation, write_errors
+from thorvaldc.cli.robot_file import (
+    is_hardware,
+    load_robot,
+    path_beside,
+    select_bus,
+    simulated_devices,
+)
+from thorvaldc.diagnostics import DiagnosticError
 
 if TYPE_CHECKING:
-    from thorvaldc.cli.bus_access import BusAccess
+    from thorvaldc.commissioning.bus_configuration import BusConfiguration
+    from thorvaldc.commissioning.bus_master import BusMaster
     from thorvaldc.commissioning.journal import JournalFile
-    from thorvaldc.commissioning.planner import Plan
+    from thorvaldc.commissioning.planner import AttachStep, Plan, PlanStep
+    from thorvaldc.commissioning.scan_result import ScanResult
+    from thorvaldc.commissioning.scanner import Scanner
+    from thorvaldc.commissioning.step_executor import Operator
+    from thorvaldc.model import Bus, Robot
 
 
 def scan(
@@ -31,8 +56,6 @@ def scan(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli.bus_access import with_bus
-    from thorvaldc.cli.diagnostic_output import message, print_json, table_width
     from thorvaldc.commissioning.scan_result import scan_notes, scan_table
 
     def work(access: BusAccess) -> int:
@@ -61,7 +84,6 @@ def plan(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli.bus_access import with_bus
 
     def work(access: BusAccess) -> int:
         return _show_plan(access.make_plan(), json, {})
@@ -70,7 +92,6 @@ def plan(
 
 
 def _show_plan(plan: Plan, json: bool, more: dict[str, bool]) -> int:
-    from thorvaldc.cli.diagnostic_output import print_json, table_width
     from thorvaldc.commissioning.planner import plan_as_json, plan_table
 
     if json:
@@ -88,14 +109,12 @@ def verify(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli.bus_access import with_bus
-    from thorvaldc.cli.diagnostic_output import count, message, print_json, table_width
     from thorvaldc.commissioning.verify import verification_table
     from thorvaldc.commissioning.verify import verify as verify_bus
 
     def work(access: BusAccess) -> int:
         verification = verify_bus(
-            access.master, access.configuration, access.bus, access.show_progress
+            access.master, access.configuration, access.bus, access.bar.show_activity
         )
         access.bar.clear()
         if exchange := access.exchange(verification.scan):
@@ -145,10 +164,6 @@ def flash(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli.bus_access import with_bus
-    from thorvaldc.cli.diagnostic_output import message
-    from thorvaldc.cli.robot_file import path_beside
-
     modes = {"--apply": apply, "--resume": resume, "--rollback": rollback}
     selected = [option for option, is_set in modes.items() if is_set]
     if len(selected) > 1:
@@ -178,12 +193,9 @@ def flash(
 def _write(
     access: BusAccess, mode: str, path: Path, expected_hash: str, yes: bool, json: bool
 ) -> int:
-    from thorvaldc.cli.bus_access import agrees
-    from thorvaldc.cli.diagnostic_output import message
     from thorvaldc.commissioning.flash import Flash
     from thorvaldc.commissioning.journal import Journal
     from thorvaldc.commissioning.planner import plan_table
-    from thorvaldc.diagnostics import DiagnosticError
 
     if mode != "--apply" and not path.exists():
         raise typer.BadParameter(f"there is no journal {path}", param_hint="'--journal'")
@@ -217,7 +229,7 @@ def _write(
             Journal(journal_file),
             operator=access.operator(yes),
             progress=access.show_step,
-            scanning=access.show_progress,
+            scanning=access.bar.show_activity,
         )
         if plan is not None:
             result = flash.apply(expected_hash or plan.hash)
@@ -239,14 +251,11 @@ def _write(
 def _opened(path: Path) -> JournalFile:
     from thorvaldc.commissioning.journal import JournalFile
 
-    try:
+    with write_errors(path):
         return JournalFile(path)
-    except OSError as error:
-        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
 
 
 def _show_result(json: bool, plan: Plan, result: str) -> int:
-    from thorvaldc.cli.diagnostic_output import count, print_json
     from thorvaldc.commissioning.planner import plan_as_json
 
     if json:
@@ -254,3 +263,174 @@ def _show_result(json: bool, plan: Plan, result: str) -> int:
     else:
         print(f"{plan.configuration.robot}: {result}, {count(len(plan.steps), 'step')}")
     return DONE
+
+
+UNTESTED = (
+    "note: this was never tried on physical hardware, only on simulated buses. Lift the wheels "
+    "off the ground and keep the emergency stop in reach."
+)
+
+
+@dataclass
+class BusAccess:
+    """Access of a command to one CAN bus of a robot.
+
+    - ``master``: the CANopen master for the bus. The CAN bus must have no other CANopen master.
+    - ``virtual_operator``: carries out the manual steps on simulated devices, or ``None`` if a
+      person carries out the manual steps.
+    """
+
+    robot: Robot
+    bus: Bus
+    configuration: BusConfiguration
+    master: BusMaster
+    bar: Progress
+    virtual_operator: Operator | None = None
+
+    def scanner(self) -> Scanner:
+        from thorvaldc.commissioning.scanner import Scanner
+
+        return Scanner(self.master, self.configuration, self.bar.show_activity)
+
+    def make_plan(self) -> Plan:
+        """Scans the CAN bus and returns the steps that commission the bus.
+
+        Raises ``DiagnosticError`` if another CANopen master is on the CAN bus, or if the devices
+        are those of another bus of the robot.
+        """
+        from thorvaldc.commissioning.bus_master import other_master_error
+        from thorvaldc.commissioning.planner import make_plan
+
+        scan = self.scanner().active(texts=False)
+        self.bar.clear()
+        if scan.masters:
+            raise other_master_error(list(scan.masters))
+        if exchange := self.exchange(scan):
+            raise DiagnosticError("bus-wrong-robot", exchange, hint="nothing was written")
+        return make_plan(self.configuration, scan)
+
+    def exchange(self, scan: ScanResult) -> str:
+        """Says that the devices of another bus of the robot are on this bus, or returns ""."""
+        from thorvaldc.model.bus_identity import Heard, wrong_buses
+
+        serials = [entry.identity.serial for entry in scan.entries if entry.identity is not None]
+        heard = {self.bus.name: Heard(self.master.received, serials)}
+        text = wrong_buses(self.robot.buses, heard)
+        return f"{text}; are the two exchanged?" if text else ""
+
+    def operator(self, unattended: bool) -> Operator | None:
+        if self.virtual_operator is not None:
+            return self.virtual_operator
+        return None if unattended else ConsoleOperator()
+
+    def show_step(self, number: int, total: int, step: PlanStep, is_verified: bool) -> None:
+        self.bar.clear()
+        description = f"{number + 1}/{total} {step.description}"
+        if is_verified:
+            message(f"{description}: verified")
+        elif self.bar.active:
+            self.bar.show_activity(description, number, total)
+
+
+def with_bus(
+    file: str,
+    spec: str,
+    store: str,
+    library: Sequence[str],
+    trust: bool,
+    work: Callable[[BusAccess], int],
+    *,
+    sends: bool = True,
+) -> int:
+    """Loads the robot, opens the CAN bus, calls ``work`` and returns the exit status of ``work``.
+
+    ``sends``: whether ``work`` sends frames. A program that only receives needs no lock of the bus.
+    If ``work`` raises a ``DiagnosticError``, the method prints the diagnostic.
+    """
+    loaded = load_robot(file, library, trust)
+    gc.enable()
+    try:
+        with _open_bus(loaded.robot, spec, store, sends) as access:
+            try:
+                return work(access)
+            finally:
+                access.bar.clear()
+    except DiagnosticError as error:
+        return loaded.show(report_of(error))
+
+
+@contextlib.contextmanager
+def _open_bus(robot: Robot, spec: str, store: str, sends: bool) -> Iterator[BusAccess]:
+    from thorvaldc.can.open_interface import bus_lock, open_interface
+    from thorvaldc.commissioning.bus_configuration import configuration_of
+    from thorvaldc.commissioning.bus_master import BusMaster
+
+    bus, interface_name = select_bus(robot, spec)
+    if interface_name.partition(":")[0] == "virtual":
+        with _open_virtual_bus(robot, bus, interface_name, store) as access:
+            yield access
+        return
+    options.refuse_options({"--store": store}, "is for a simulated robot, --bus virtual")
+    if is_hardware(interface_name):
+        message(UNTESTED)
+    with contextlib.ExitStack() as locks:
+        if sends:
+            locks.enter_context(bus_lock(interface_name))
+        interface = open_interface(interface_name, bus)
+        try:
+            master = BusMaster(interface, bus)
+            yield BusAccess(robot, bus, configuration_of(robot, bus), master, Progress(1.0, ""))
+        finally:
+            interface.close()
+
+
+@contextlib.contextmanager
+def _open_virtual_bus(robot: Robot, bus: Bus, name: str, store: str) -> Iterator[BusAccess]:
+    variant = name.partition(":")[2]
+    if variant not in ("", "delivered"):
+        raise typer.BadParameter(
+            f"{name!r} is neither virtual nor virtual:delivered", param_hint="'--bus'"
+        )
+    check_full_installation("`--bus virtual`")
+    # The runtime package does not contain the simulation.
+    from thorvaldc.commissioning.bus_configuration import configuration_of
+    from thorvaldc.commissioning.bus_master import BusMaster
+    from thorvaldc.simulation.bus.simulated_robot import VirtualOperator
+
+    with simulated_devices(robot, store, delivered=variant == "delivered") as simulated:
+        interface = simulated.interface(bus.name, receive_limit=100_000)
+        yield BusAccess(
+            robot,
+            bus,
+            configuration_of(robot, bus),
+            BusMaster(interface, bus),
+            Progress(1.0, ""),
+            VirtualOperator(simulated),
+        )
+
+
+class ConsoleOperator:
+    """A person at the terminal who carries out manual steps, and presses Enter after each."""
+
+    def attach(self, step: AttachStep, words: str) -> bool:
+        return self._confirm(f"{words} Press Enter when it is done, or type `skip`. ")
+
+    def power_all(self, words: str) -> bool:
+        return self._confirm(f"{words} Press Enter when it is done. ")
+
+    def _confirm(self, request: str) -> bool:
+        line = _read_answer(request)
+        return bool(line) and line.strip().lower() not in ("skip", "s")
+
+
+def agrees(question: str) -> bool:
+    """Asks a yes-or-no question and returns true for yes.
+
+    An empty answer to the question means no.
+    """
+    return _read_answer(f"{question} [y/N] ").strip().lower() in ("y", "yes")
+
+
+def _read_answer(question: str) -> str:
+    print(question, end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline()

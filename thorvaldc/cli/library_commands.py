@@ -1,22 +1,170 @@
-"""The commands ``thorvaldc modules``: list, show and check the module types of a library, and make
-a new one."""
+"""The commands ``thorvaldc new``, ``schema`` and ``modules``: new robots and modules, the JSON
+Schemas, and the module types of a library."""
 
 from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from thorvaldc.cli import options
-from thorvaldc.cli.completion import module_types
+from thorvaldc.cli.diagnostic_output import (
+    DiagnosticOutput,
+    check_format,
+    count,
+    print_json,
+    print_table,
+    show_report,
+)
 from thorvaldc.cli.exits import DONE
+from thorvaldc.cli.options import module_types, preset_names, schema_kinds
+from thorvaldc.diagnostics import Report, Span, nearest
 
 if TYPE_CHECKING:
     from thorvaldc.compiler.modules.library import Library
+
+
+MODEL = "model"
+PRESET, NAME = "4wd4ws", "my_robot"
+"""Answers to the questions of ``new`` that an empty line means."""
+
+
+def new(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME",
+            help="Name of the robot and its folder; without it, a terminal is asked.",
+        ),
+    ] = "",
+    preset: Annotated[
+        str,
+        typer.Option(
+            "--preset",
+            metavar="PRESET",
+            autocompletion=preset_names,
+            help="4wd4ws (the default), 2wd0ws or 1wd1ws.",
+        ),
+    ] = "",
+    project: Annotated[
+        bool,
+        typer.Option(
+            "--project", help="Make a repository: robot, own module, scenario, CI, README."
+        ),
+    ] = False,
+) -> int:
+    from thorvaldc import __version__
+    from thorvaldc.compiler import scaffolding
+
+    if not name:
+        if not _is_terminal():
+            raise typer.BadParameter(
+                "give the robot a name: thorvaldc new my_robot", param_hint="NAME"
+            )
+        preset = preset or _asked("Preset", _preset_problem, _preset_question())
+        name = _asked("Name of the robot and its folder", _name_problem)
+    preset = preset or PRESET
+    if problem := _name_problem(name):
+        raise typer.BadParameter(problem, param_hint="NAME")
+    if problem := _preset_problem(preset):
+        raise typer.BadParameter(problem, param_hint="'--preset'")
+    files = (
+        scaffolding.project_files(name, preset, __version__)
+        if project
+        else scaffolding.robot_files(name, preset)
+    )
+    try:
+        scaffolding.write_new_files(Path(name), files)
+    except FileExistsError as error:
+        raise typer.BadParameter(f"{error} exists already", param_hint="NAME") from None
+    if project:
+        print(
+            f"{name}: a repository with {len(files)} files. Next:\n  cd {name}\n"
+            "  thorvaldc check --strict robots/*.yaml\n"
+            "  thorvaldc scenario scenarios/straight.yaml"
+        )
+        if wheel := scaffolding.missing_wheel(files):
+            print(f"CI installs a wheel of thorvaldc; build it, and commit it:\n  {wheel}")
+    else:
+        file = Path(name) / "robot.yaml"
+        print(
+            f"{file}: a {preset} robot. Next:\n  thorvaldc check {file}\n  thorvaldc build {file}"
+        )
+    return DONE
+
+
+def _is_terminal() -> bool:
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def _preset_question() -> str:
+    from thorvaldc.compiler import scaffolding
+
+    presets = scaffolding.presets()
+    rows = [f"  {name}  {scaffolding.description_of(name)}" for name in presets]
+    return "\n".join(["Which robot do you want to start from?", *rows])
+
+
+def _asked(question: str, problem_of: Callable[[str], str], text: str = "") -> str:
+    """Asks until the answer has no problem, and returns it.  An empty answer means the default."""
+    default = PRESET if text else NAME
+    if text:
+        print(text)
+    while True:
+        try:
+            answer = input(f"{question} [{default}]: ").strip() or default
+        except EOFError:
+            raise typer.BadParameter("there is no answer", param_hint="NAME") from None
+        problem = problem_of(answer)
+        if not problem:
+            return answer
+        print(f"  {problem}")
+
+
+def _name_problem(name: str) -> str:
+    """Returns why a robot cannot have a name, or an empty text."""
+    from thorvaldc.compiler import scaffolding
+
+    if not scaffolding.is_robot_name(name):
+        from thorvaldc.compiler.validation.schema_diagnostics import similar_name
+
+        similar = similar_name(name)
+        meant = f"; did you mean `{similar}`?" if similar else ""
+        rule = "small letters, digits and _, a letter first"
+        return f"{name!r} is no name for a robot: {rule}{meant}"
+    return ""
+
+
+def _preset_problem(preset: str) -> str:
+    """Returns why there is no such preset, or an empty text."""
+    from thorvaldc.compiler import scaffolding
+
+    known = scaffolding.presets()
+    return "" if preset in known else f"there is no preset {preset!r}; there are {', '.join(known)}"
+
+
+def schema(
+    kind: Annotated[
+        str,
+        typer.Argument(
+            metavar="KIND",
+            autocompletion=schema_kinds,
+            help="Kind of document: robot, fleet, module, scenario, ...; model: model.json.",
+        ),
+    ],
+) -> int:
+    from thorvaldc.model.model_json import model_schema_text
+    from thorvaldc.schema import KINDS, schema_text
+
+    if kind not in (*KINDS, MODEL):
+        kinds = ", ".join((*KINDS, MODEL))
+        raise typer.BadParameter(f"{kind!r} is none of {kinds}", param_hint="KIND")
+    print(model_schema_text() if kind == MODEL else schema_text(kind), end="")
+    return DONE
 
 
 def _library(folders: Sequence[str]) -> Library:
@@ -26,10 +174,8 @@ def _library(folders: Sequence[str]) -> Library:
 
 
 def list_modules(json: options.Json = False, library: options.Library = []) -> int:  # noqa: B006
-    from thorvaldc.cli.diagnostic_output import print_json, print_table, show_report
     from thorvaldc.compiler.catalogue import first_sentence, module_summary
     from thorvaldc.compiler.source.node import Node
-    from thorvaldc.diagnostics import Report, Span
 
     module_library = _library(library)
     report = Report()
@@ -56,7 +202,6 @@ def show_module(
     json: options.Json = False,
     library: options.Library = [],  # noqa: B006
 ) -> int:
-    from thorvaldc.cli.diagnostic_output import print_json, print_table, show_report
     from thorvaldc.compiler.catalogue import (
         describe_module,
         description_document,
@@ -66,7 +211,6 @@ def show_module(
         port_rows,
     )
     from thorvaldc.compiler.source.node import Node
-    from thorvaldc.diagnostics import Report, Span, nearest
 
     module_library = _library(library)
     names = module_library.names()
@@ -106,7 +250,6 @@ def check_modules(
     format: options.Format = "text",
     strict: options.Strict = False,
 ) -> int:
-    from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
     from thorvaldc.compiler.catalogue import check_library
 
     check_format(format)
@@ -128,10 +271,8 @@ def new_module(
         str, typer.Option("--library", metavar="DIR", help="Folder of your modules.")
     ] = "modules",
 ) -> int:
-    from thorvaldc.cli.diagnostic_output import show_report
     from thorvaldc.compiler import scaffolding
     from thorvaldc.compiler.modules.library import FILE, Library
-    from thorvaldc.diagnostics import Report
 
     if not scaffolding.is_module_type(type):
         raise typer.BadParameter(

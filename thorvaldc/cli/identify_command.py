@@ -9,11 +9,22 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thorvaldc.cli import options
+from thorvaldc.cli.diagnostic_output import (
+    Progress,
+    message,
+    print_json,
+    report_of,
+    show_report,
+    table_width,
+)
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.robot_file import is_hardware, read_robot_file
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.diagnostics.files import read_bounded
 
 if TYPE_CHECKING:
     from thorvaldc.commissioning.identify import Candidate, Match
+
 
 _LARGEST = 1_000_000
 """Size in bytes of the files in a folder that are read."""
@@ -48,13 +59,9 @@ def identify(
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.can.open_interface import bus_lock, open_interface
-    from thorvaldc.cli.bus_access import UNTESTED
-    from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show_report
-    from thorvaldc.cli.progress import Progress
-    from thorvaldc.cli.robot_file import is_hardware
+    from thorvaldc.cli.can_commands import UNTESTED
     from thorvaldc.commissioning.identify import identify as identify_robot
     from thorvaldc.commissioning.identify import only_listens
-    from thorvaldc.diagnostics import DiagnosticError
 
     head, equals, tail = bus.partition("=")
     # The name of a socket may contain `=`, as in `sim:./a=b`.
@@ -70,16 +77,11 @@ def identify(
     if why := only_listens(candidates):
         message(f"no request is sent, because it could be a command for a drive: {why}")
     bar = Progress(1.0, "")
-
-    def show_progress(activity: str, number: int, total: int) -> None:
-        bar.label, bar.total = f"{activity} ", float(max(total, 1))
-        bar.show(float(number))
-
     try:
         with bus_lock(interface_name):
             interface = open_interface(interface_name, candidates[0].bus)
             try:
-                matches = identify_robot(interface, candidates, show_progress)
+                matches = identify_robot(interface, candidates, bar.show_activity)
             finally:
                 bar.clear()
                 interface.close()
@@ -95,7 +97,6 @@ def identify(
 
 
 def _print(matches: Sequence[Match]) -> None:
-    from thorvaldc.cli.diagnostic_output import table_width
     from thorvaldc.commissioning.identify import match_table, verdict
 
     print(match_table(matches, table_width()))
@@ -115,8 +116,6 @@ def _candidates(
 
     Raises ``typer.BadParameter`` if there are none.
     """
-    from thorvaldc.cli.diagnostic_output import message
-    from thorvaldc.cli.robot_file import read_robot_file
     from thorvaldc.commissioning.bus_configuration import configuration_of
     from thorvaldc.commissioning.identify import Candidate
     from thorvaldc.model import Robot
@@ -156,7 +155,7 @@ def _candidates(
 
 def _robot_files(files: Sequence[str]) -> Iterator[Path]:
     """Yields the files that the user names, and in folders the robot files before the models."""
-    from thorvaldc.cli.command import is_runtime_only
+    from thorvaldc.cli.exits import is_runtime_only
 
     for file in files:
         path = Path(file)

@@ -1,0 +1,291 @@
+"""The commands ``thorvaldc sim``, which drives a robot or fleet in simulation, and ``scenario``,
+which runs a scenario and checks its expectations."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from thorvaldc.cli import options
+from thorvaldc.cli.diagnostic_output import message, print_json, show_report, table_width
+from thorvaldc.cli.exits import INPUT
+from thorvaldc.cli.robot_file import compile_and_show
+from thorvaldc.diagnostics import DiagnosticError, Report
+
+if TYPE_CHECKING:
+    from thorvaldc.cli.run_outputs import RunOutputs
+    from thorvaldc.compiler.result import Compilation
+    from thorvaldc.compiler.scenario.variations import Change, Variations
+    from thorvaldc.model import Fleet, Robot
+    from thorvaldc.model.scenario import Scenario
+    from thorvaldc.runtime.se2 import Twist
+    from thorvaldc.simulation.scenario_run import ScenarioResult
+    from thorvaldc.simulation.simulation_result import SimulationResult
+
+
+TWIST_DURATION = 5.0
+"""Duration in s of a run with a twist and without the option ``--duration``."""
+
+
+def sim(
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="A robot.yaml, fleet.yaml or scenario.")
+    ],
+    twist: Annotated[
+        str,
+        typer.Option(
+            "--twist",
+            metavar="VX,VY,WZ",
+            help="Twist to drive, in m/s, m/s and rad/s; by default a manoeuvre that shows what the"
+            " robot can do.",
+        ),
+    ] = "",
+    duration: options.Duration = "",
+    parameters: options.Parameters = "",
+    ideal: Annotated[
+        bool, typer.Option("--ideal", help="Simulate ideal joints instead of physics.")
+    ] = False,
+    open_loop: Annotated[
+        bool,
+        typer.Option("--open-loop", help="Drive without speed control, for a log to calibrate."),
+    ] = False,
+    sensors: Annotated[
+        bool,
+        typer.Option("--sensors", help="Record the sensors of the modules as well, in a .mcap."),
+    ] = False,
+    record: options.Record = "",
+    log: options.JointLog = "",
+    plot: options.Plot = "",
+    video: options.Video = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
+) -> int:
+    from thorvaldc.cli.run_outputs import RunOutputs
+    from thorvaldc.runtime.se2 import parse_twist
+
+    seconds = options.parse_duration(duration, "--duration") if duration else 0.0
+    commanded_twist = options.parsed(twist, parse_twist, "--twist") if twist else None
+    outputs = RunOutputs(plot, video, record, log, ideal=ideal)
+    if sensors and not record.lower().endswith(".mcap"):
+        raise typer.BadParameter("needs a --record OUT.mcap", param_hint="'--sensors'")
+    compilation = compile_and_show(file, library, trust=trust)
+    if compilation.model is None:
+        return INPUT
+    if compilation.scenario is not None:
+        drive_options = {"--duration": duration, "--twist": twist, "--ideal": ideal}
+        drive_options["--sensors"] = sensors
+        options.refuse_options(drive_options, "the scenario defines this")
+        open_loop = open_loop or compilation.scenario.open_loop
+        changed = replace(compilation.scenario, open_loop=open_loop)
+        return _run_scenario(compilation, changed, outputs, parameters, json)
+    return _run_drive(
+        compilation,
+        compilation.model,
+        outputs,
+        parameters,
+        json,
+        twist=commanded_twist,
+        duration=seconds,
+        ideal=ideal,
+        open_loop=open_loop,
+        sensors=sensors,
+    )
+
+
+def scenario(
+    file: options.ScenarioFile,
+    robot: options.ScenarioRobot = "",
+    settings: Annotated[
+        list[str],
+        typer.Option(
+            "--set",
+            metavar="PATH=VALUE",
+            help="Replace a value of the scenario: world.friction=0.3; may be repeated.",
+            show_default=False,
+        ),
+    ] = [],  # noqa: B006
+    parameters: options.Parameters = "",
+    junit: options.JUnit = "",
+    record: options.Record = "",
+    log: options.JointLog = "",
+    plot: options.Plot = "",
+    video: options.Video = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
+) -> int:
+    from thorvaldc.cli.run_outputs import RunOutputs
+
+    changes: Sequence[Change] = ()
+    if settings:
+        variations = plan_runs(file, settings, "", "", from_document=False)
+        if variations is None:
+            return INPUT
+        if variations.size != 1:
+            raise typer.BadParameter(
+                f"these are {variations.size} runs; `thorvaldc batch` runs them",
+                param_hint="'--set'",
+            )
+        changes = next(variations.runs())
+    outputs = RunOutputs(plot, video, record, log)
+    compilation = compile_and_show(file, library, robot or None, changes, trust=trust)
+    if compilation.model is None:
+        return INPUT
+    if compilation.scenario is None:
+        raise typer.BadParameter(f"{file} is no scenario", param_hint="SCENARIO")
+    return _run_scenario(compilation, compilation.scenario, outputs, parameters, json, junit)
+
+
+def _run_scenario(
+    compilation: Compilation,
+    scenario: Scenario,
+    outputs: RunOutputs,
+    parameters: str,
+    json: bool,
+    junit: str = "",
+) -> int:
+    """Runs a scenario, prints its result and returns the exit status."""
+    from thorvaldc.compiler.pipeline import emit
+    from thorvaldc.diagnostics.files import write_file
+    from thorvaldc.simulation import scenario_run
+
+    if junit:
+        options.check_output(junit, ("xml",), "--junit")
+    outputs.check_installation()
+    gc.enable()
+    report = Report()
+    robots = [(placement.name, placement.robot) for placement in scenario.fleet.placements]
+    opened = outputs.open(robots, scenario.record, scenario.every, scenario.duration)
+    with opened as (recorders, watch):
+        try:
+            files = emit(scenario.fleet, ["mjcf"], report)
+            simulation = scenario_run.ScenarioSimulation(scenario, files, parameters or None)
+            result = simulation.play(report, recorders, watch)
+        except DiagnosticError as error:
+            report.put(error.diagnostic)
+            return show_report(compilation.located(report), compilation.sources)
+    if junit:
+        errors = [d.message for d in report.errors if d.code.name != "expectation-failed"]
+        write_file(Path(junit), scenario_run.junit_report(result, errors))
+    text = "" if json else scenario_run.scenario_text(result, table_width())
+    status = _show(compilation, report, result, text)
+    outputs.write(scenario.fleet, robots, files)
+    return status
+
+
+def _run_drive(
+    compilation: Compilation,
+    model: Robot | Fleet,
+    outputs: RunOutputs,
+    parameters: str,
+    json: bool,
+    *,
+    twist: Twist | None,
+    duration: float,
+    ideal: bool,
+    open_loop: bool,
+    sensors: bool,
+) -> int:
+    """Drives a robot or fleet in simulation, prints the result and returns the exit status.
+
+    - ``twist``: commanded twist, or ``None`` for the demonstration manoeuvre of the robot.
+    - ``duration``: duration in s, or 0 for the default duration.
+    """
+    from thorvaldc.cli.run_outputs import call_all
+    from thorvaldc.compiler.pipeline import emit
+    from thorvaldc.model.scenario import GROUPS, SensorSettings
+    from thorvaldc.model.sensor_numbers import not_simulated
+    from thorvaldc.simulation.records.recorder import record_ticks
+    from thorvaldc.simulation.simulation_result import result_table
+    from thorvaldc.simulation.simulation_run import Simulation
+
+    outputs.check_installation()
+    gc.enable()
+    report = Report()
+    try:
+        files = None if ideal else emit(model, ["mjcf"], report)
+        simulation = Simulation(
+            model,
+            files,
+            parameters or None,
+            open_loop=open_loop,
+            sensors=SensorSettings() if sensors else None,
+        )
+        if sensors and not simulation.sensors:
+            message("no robot has a sensor that is simulated")
+        left_out = not_simulated(robot for _, robot in simulation.robots) if sensors else []
+        if left_out:
+            message(f"not simulated: {', '.join(left_out)}")
+        if not duration:
+            duration = TWIST_DURATION if twist is not None else simulation.demonstration()[1]
+        with outputs.open(simulation.robots, GROUPS, 0.0, duration) as (recorders, watch):
+            simulation.record_sensors(recorders)
+            if recorders:
+                watch = call_all([watch, record_ticks(recorders)])
+            if twist is not None:
+                result = simulation.run(duration, twist, report, watch)
+            else:
+                result = simulation.demonstrate(report, duration, watch)
+    except DiagnosticError as error:
+        report.put(error.diagnostic)
+        return show_report(compilation.located(report), compilation.sources)
+    text = "" if json else result_table([result], table_width())
+    status = _show(compilation, report, result, text)
+    outputs.write(model, simulation.robots, files)
+    return status
+
+
+def _show(
+    compilation: Compilation,
+    report: Report,
+    result: SimulationResult | ScenarioResult,
+    text: str,
+) -> int:
+    """Prints a result as text, or as JSON if the text is empty, and returns the exit status."""
+    if text:
+        print(text)
+    else:
+        print_json(result.as_json())
+    return show_report(compilation.located(report), compilation.sources)
+
+
+def plan_runs(
+    scenario: str, settings: Sequence[str], draws: str, seed: str, *, from_document: bool
+) -> Variations | None:
+    """Returns the variations of a scenario from the options ``--set``.
+
+    If ``from_document`` is true, the result includes the variations in the scenario file. If the
+    scenario file has errors, the function prints the errors and returns ``None``. Raises
+    ``typer.BadParameter`` if an option ``--set`` is wrong or no value of the scenario varies.
+    """
+    from thorvaldc.compiler.scenario.variations import plan_variations
+
+    for text in settings:
+        path, equals, _ = text.partition("=")
+        if not equals or not path.strip():
+            raise typer.BadParameter(f"{text!r} is not PATH=VALUES", param_hint="'--set'")
+    report = Report()
+    variations = plan_variations(
+        scenario,
+        settings,
+        options.parse_count(draws, "--draws", 1),
+        options.parse_count(seed, "--seed", 0),
+        from_document=from_document,
+        report=report,
+    )
+    if variations is None:
+        raise typer.BadParameter(f"{scenario} is no scenario", param_hint="'FILE'")
+    if report.has_errors:
+        show_report(report, {scenario: Path(scenario)})
+        return None
+    if not variations.varied and not (from_document and variations.draws > 1):
+        raise typer.BadParameter(
+            f"{scenario} has no `variations`; name values with --set", param_hint="'--variations'"
+        )
+    return variations
