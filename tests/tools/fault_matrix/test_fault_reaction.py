@@ -171,7 +171,7 @@ def test_one_bus_of_several(drives: str) -> None:
     assert len(lines) == 2
     for bound, line in zip(swerve_bounds(model), lines, strict=True):
         assert f" {math.ceil(math.degrees(bound.yaw))} deg if " in line
-        assert bound.kind in matrix_json(matrix, rows, "robot.yaml")["swerve"]
+        assert bound.kind in matrix_json(matrix, rows, [], "robot.yaml")["swerve"]
     assert not any("of several" in case.name for case in fault_cases(ROBOT()))
 
 
