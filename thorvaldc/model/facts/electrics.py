@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 from thorvaldc.model import Actuator, Battery, Bus, Channel, Node, Robot, Scalar
 from thorvaldc.model import quantities as si
-from thorvaldc.model.element import Element
 from thorvaldc.model.sums import float_sum
 
 
-class Address(Element):
+@dataclass(frozen=True, slots=True)
+class Address:
     """A node on a bus and its address.
 
     - ``bus``, ``name``, ``module``, ``protocol``: as in the model.
@@ -33,7 +34,8 @@ class Address(Element):
     label: str
 
 
-class BusFacts(Element):
+@dataclass(frozen=True, slots=True)
+class BusFacts:
     """A CAN bus.
 
     - ``bitrate``: bit rate in bit/s.
@@ -52,7 +54,8 @@ class BusFacts(Element):
     addresses: tuple[Address, ...]
 
 
-class Wire(Element):
+@dataclass(frozen=True, slots=True)
+class Wire:
     """A motor with its encoder, and the channel of the motor controller that it is wired to.
 
     - ``motor``, ``role``, ``joint``, ``gear_ratio``, ``encoder_ppr``, ``max_torque`` and
@@ -155,7 +158,8 @@ POWER = "power"
 """Property of a sensor or node: electrical power in W that it draws while the robot is on."""
 
 
-class BatteryFacts(Element):
+@dataclass(frozen=True, slots=True)
+class BatteryFacts:
     """A battery enclosure.
 
     - ``present``: true if a battery is in the enclosure.
@@ -172,7 +176,8 @@ class BatteryFacts(Element):
     energy: si.Joules | None
 
 
-class Energy(Element):
+@dataclass(frozen=True, slots=True)
+class Energy:
     """Energy and range of a robot on level ground.
 
     - ``energy``: energy of all batteries in J, or ``None`` if a module does not state it or the
