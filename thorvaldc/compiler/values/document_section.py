@@ -21,6 +21,7 @@ from thorvaldc.model import Pose
 from thorvaldc.schema import Kind, inlined
 
 Schema = dict[str, Any]
+_ZERO = (0.0, 0.0, 0.0)
 _EMPTY: dict[str, Any] = {"array": (), "object": {}, "string": ""}
 
 
@@ -124,7 +125,7 @@ class Section:
 
     def pose(self) -> Pose:
         """Returns the pose of the keys `xyz` (m) and `rpy` (rad)."""
-        return Pose.from_xyz_rpy(self["xyz"], self["rpy"])
+        return Pose.from_xyz_rpy(self.get("xyz", _ZERO), self.get("rpy", _ZERO))
 
     def planar_pose(self) -> Pose:
         """Returns the pose of the keys `xyz` (m) and `yaw` (rad, reduced to -pi to pi)."""
@@ -147,10 +148,16 @@ class Section:
         if schema.get("x-verbatim") or value in schema.get("x-words", ()):
             return value
         if "x-quantity" in inner:  # An expression gives the vector.
-            return self._reader.vector(node, inner["x-quantity"])
+            quantity, report = inner["x-quantity"], self._reader.report
+            numbers = self._reader.numbers(node, quantity, schema["minItems"])
+            is_valid = numbers is INVALID or all(
+                _is_within(number, inner, inner, quantity, node.span, key, report)
+                for number in numbers
+            )
+            return numbers if is_valid else INVALID
         quantity = self._quantity(schema)
         if quantity is None:
-            return self._reader.value(node)
+            return self._scalar(node, schema)
         number = self._reader.quantity(node, quantity, math.nan)
         if math.isnan(number):
             return INVALID
@@ -163,11 +170,22 @@ class Section:
             return INVALID
         return int(number) if "integer" in schema.get("type", ()) else number
 
+    def _scalar(self, node: Node, schema: Schema) -> Any:
+        if schema.get("type") == "string":
+            return self._reader.of_type(str, node)
+        is_boolean = schema.get("type") in ("boolean", ["boolean", "string"])
+        return self._reader.of_type(bool, node) if is_boolean else self._reader.value(node)
+
     def _quantity(self, schema: Schema) -> str | None:
         kinds: str | list[str] | None = schema.get("x-quantity")
         if kinds is None and schema.get("type") == ["integer", "string"]:
             return "number"  # An expression gives the whole number.
         return kinds[self._alternative] if isinstance(kinds, list) else kinds
+
+
+def read_pose(node: Node, reader: ValueReader) -> Pose:
+    """Returns the pose of the keys `xyz` (m) and `rpy` (rad) of a mapping."""
+    return Section(node, inlined("module")["properties"]["mount"], reader).pose()
 
 
 def read_document(document: Node, kind: Kind, reader: ValueReader) -> Section:
