@@ -130,8 +130,6 @@ class Scope(values.ValueReader):
         span of the entry.  ``None``: missing parameters are not reported.
     """
 
-    on_robot = True
-
     def __init__(
         self,
         module: ModuleType | None,
@@ -140,7 +138,7 @@ class Scope(values.ValueReader):
         report: Report,
         entry: Node | None,
     ) -> None:
-        super().__init__(report)
+        super().__init__(report, on_robot=True)
         self.module = module
         self.library = library
         self.depth = 0

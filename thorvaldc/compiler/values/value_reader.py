@@ -58,13 +58,13 @@ class ValueReader(Mapping[str, Any]):
 
     A ``ValueReader`` is a mapping of the names that expressions may use.  A plain ``ValueReader``
     contains no names.  The subclass ``Scope`` contains the parameters of a module.
+
+    ``on_robot``: ``True`` if the quantities describe a robot, not its surroundings.
     """
 
-    on_robot = False
-    """``True`` if the quantities describe a robot, not its surroundings."""
-
-    def __init__(self, report: Report) -> None:
+    def __init__(self, report: Report, *, on_robot: bool = False) -> None:
         self.report = report
+        self.on_robot = on_robot
         self._dimensions: dict[str, Any] = {}  # of expressions that were evaluated
 
     def dimension(self, name: str) -> Any:
