@@ -9,6 +9,7 @@ of the robot model.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from thorvaldc.diagnostics import DiagnosticError, Span
@@ -385,6 +386,24 @@ class Battery:
     node: str | None
     properties: tuple[tuple[str, Scalar], ...]
     span: Span
+
+    @property
+    def voltage(self) -> float | None:
+        """Nominal voltage in V, or ``None`` if the module states none."""
+        return stated_number(self.properties, "voltage")
+
+    @property
+    def capacity(self) -> float | None:
+        """Capacity in A s, or ``None`` if the module states none."""
+        return stated_number(self.properties, "capacity")
+
+
+def stated_number(properties: Iterable[tuple[str, Scalar]], name: str) -> float | None:
+    """Return a property of a module that is a number, or ``None``."""
+    value = dict(properties).get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)
 
 
 # -- the robot --------------------------------------------------------------------------
