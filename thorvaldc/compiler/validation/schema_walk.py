@@ -42,10 +42,11 @@ class SchemaWalk:
             return schema
         value_type, is_valid = type(node.value), True
         for keyword, argument in schema.items():
-            if keyword in _ANNOTATIONS:
-                continue
+            rule = _CHECKS.get(keyword)
+            if rule is None:
+                continue  # one of ``_ANNOTATIONS``
             # A keyword such as ``minLength`` applies only to some types.
-            types, check = _CHECKS[keyword]
+            types, check = rule
             if (types is None or value_type in types) and not check(self, argument, node, schema):
                 is_valid = False
         if value_type is str and self.kind != "module" and node.value.startswith("${"):  # type: ignore[union-attr]
