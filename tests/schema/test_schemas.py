@@ -127,13 +127,13 @@ def test_a_required_key_has_no_default(kind: Kind) -> None:
 OWN_QUANTITIES = (
     "bus/device_frames bus/device_sections"
     " hardware/hardware_reader hardware/purchase_reader"
-    " modules/module_parameters values/value_reader"
+    " modules/module_parameters"
 )
 
 
 def test_readers_take_kinds_of_quantities_from_the_schema() -> None:
     folder = ROOT / "thorvaldc" / "compiler"
-    call = re.compile(r"\.(quantity|vector)\([^)]*\"[a-z_]+\"")
+    call = re.compile(r"\.(quantity|numbers)\([^)]*\"[a-z_]+\"")
     naming = [path for path in folder.rglob("*.py") if call.search(path.read_text("utf-8"))]
     names = sorted(str(path.relative_to(folder).with_suffix("")) for path in naming)
     assert names == sorted(OWN_QUANTITIES.split())

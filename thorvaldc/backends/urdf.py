@@ -9,7 +9,7 @@ from thorvaldc.backends import Backend, xml_writer
 from thorvaldc.backends.description_parts import NEGLIGIBLE, Palette, mesh_files
 from thorvaldc.backends.ros2_control import kept_extensions, ros2_control_elements
 from thorvaldc.model import Box, Cylinder, Inertial, Joint, Link, MeshShape, Pose, Robot, Shape
-from thorvaldc.model.element import once_per_model
+from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.spatial import clean
 
 # URDF requires limits for revolute and prismatic joints. The joint limit 1e9 means "no limit".

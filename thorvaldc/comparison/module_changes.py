@@ -21,6 +21,7 @@ from thorvaldc.compiler.pipeline import library_folders_of
 from thorvaldc.compiler.result import SourceFile
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
+from thorvaldc.compiler.values.document_section import read_pose
 from thorvaldc.compiler.values.value_reader import INVALID
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Actuator, Battery, Robot, Sensor
@@ -165,7 +166,7 @@ def _place(instance: Instance, parent: Instance) -> tuple[str, tuple[float, ...]
     if not isinstance(mount.value, dict):
         return parent.scope.text(mount), ()
     carrier = parent.scope.text(mount.get("parent") or mount.get("port"))
-    pose = parent.scope.pose(mount).clean()
+    pose = read_pose(mount, parent.scope).clean()
     return carrier, (*pose.xyz, *pose.quat)
 
 

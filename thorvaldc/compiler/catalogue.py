@@ -24,6 +24,7 @@ from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.result import accept_warnings, read_acceptances, report_unused
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
+from thorvaldc.compiler.values.document_section import read_pose
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import SourcedMass, Vec3
 from thorvaldc.model.spatial import clean, clean3
@@ -327,7 +328,7 @@ class _Expanded:
         place = pose.get(f"{name_prefix(leaf.path)}_{link}")
         if place is None:
             return None
-        position = place.apply(leaf.scope.pose(port).xyz)
+        position = place.apply(read_pose(port, leaf.scope).xyz)
         return clean3(position) if all(map(math.isfinite, position)) else None
 
     def masses(self) -> tuple[SourcedMass, ...] | None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import quantities as si
-from thorvaldc.model.element import Element
 
 Scalar = bool | int | float | str
 
@@ -30,7 +30,8 @@ FLOAT32_MAX = (2.0 - 2.0**-23) * 2.0**127
 """Largest finite number of IEEE 754 with 32 bits."""
 
 
-class Signal(Element):
+@dataclass(frozen=True, slots=True)
+class Signal:
     """A little-endian field of a CAN frame: physical value = raw value * scale + offset.
 
     - ``start``, ``length``: the first bit and the number of bits of the signal.
@@ -72,7 +73,8 @@ class Signal(Element):
         return 0, (1 << self.length) - 1
 
 
-class FrameDefinition(Element):
+@dataclass(frozen=True, slots=True)
+class FrameDefinition:
     """The definition of a CAN frame with an 11-bit identifier: signals, nodes and timing.
 
     - ``name``, ``description``: name of the frame, unique on its bus, and its purpose.
@@ -112,7 +114,8 @@ class FrameDefinition(Element):
     synchronous: bool = False
 
 
-class Channel(Element):
+@dataclass(frozen=True, slots=True)
+class Channel:
     """A channel of a motor controller.
 
     - ``role``: ``propulsion`` or ``steering``.
@@ -124,7 +127,8 @@ class Channel(Element):
     actuator: str | None
 
 
-class ObjectValue(Element):
+@dataclass(frozen=True, slots=True)
+class ObjectValue:
     """An object dictionary entry of a CANopen node, with the required value of the entry.
 
     - ``index``, ``subindex``: address of the entry.
@@ -143,7 +147,8 @@ class ObjectValue(Element):
     access: str = "rw"
 
 
-class Node(Element):
+@dataclass(frozen=True, slots=True)
+class Node:
     """A device on a CAN bus.
 
     - ``module``: path of the module that the device belongs to.
@@ -216,7 +221,8 @@ class Node(Element):
         return self.device_type is not None and self.device_type & 0xFFFF == CIA_402
 
 
-class Bus(Element):
+@dataclass(frozen=True, slots=True)
+class Bus:
     """A CAN bus with its nodes and its CAN frames.
 
     - ``name``: name of the bus, such as ``main``.

@@ -3,14 +3,16 @@ in SI units."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from thorvaldc.model import quantities as si
-from thorvaldc.model.element import Element
 from thorvaldc.model.robot import Robot
 from thorvaldc.model.shapes import Shape
 from thorvaldc.model.spatial import Pose
 
 
-class Placement(Element):
+@dataclass(frozen=True, slots=True)
+class Placement:
     """A robot of a fleet.
 
     - ``name``: name and name space of the robot in the scene.
@@ -26,7 +28,8 @@ class Placement(Element):
         return f"<Placement {self.name}: {self.robot.name} at ({x:g}, {y:g}, {z:g}) m>"
 
 
-class Ground(Element):
+@dataclass(frozen=True, slots=True)
+class Ground:
     """The ground on which the robots of a scene drive. The poses of the robots are relative to the
     ground plane z = 0.
 
@@ -47,7 +50,8 @@ class Ground(Element):
     size: tuple[si.Metres, si.Metres] = (30.0, 30.0)
 
 
-class Zone(Element):
+@dataclass(frozen=True, slots=True)
+class Zone:
     """A rectangular zone of the ground, whose centre has the pose ``pose``.
 
     - ``size``: edge lengths of the zone in m along x and y.
@@ -85,7 +89,8 @@ class Zone(Element):
         return all(abs(local[i]) <= self.size[i] / 2 + margin for i in range(2))
 
 
-class Block(Element):
+@dataclass(frozen=True, slots=True)
+class Block:
     """A fixed body of the scene.
 
     - ``kind``: ``kerb``, ``rail``, ``obstacle``, ``crop`` or ``post``. A fixed body of the kind
@@ -100,7 +105,8 @@ class Block(Element):
     pose: Pose
 
 
-class World(Element):
+@dataclass(frozen=True, slots=True)
+class World:
     """The surroundings of the robots: the ground, fixed bodies and zones of the ground.
 
     - ``blocks``: fixed bodies, such as kerbs, rails and obstacles.
@@ -112,7 +118,8 @@ class World(Element):
     zones: tuple[Zone, ...] = ()
 
 
-class Fleet(Element):
+@dataclass(frozen=True, slots=True, weakref_slot=True)
+class Fleet:
     """Several robots in one scene, in the order of the fleet file.
 
     - ``name``: name of the fleet.

@@ -39,8 +39,8 @@ from thorvaldc.model import (
     Signal,
 )
 from thorvaldc.model.bus import OBJECT_TYPES
-from thorvaldc.model.element import once_per_model, values_getter
 from thorvaldc.model.quantities import field_types, quantity_at
+from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.settings import DISTROS, DRIVER, EKF
 
 FORMAT = "thorvaldc-model"
@@ -103,17 +103,14 @@ def type_hints(cls: type) -> dict[str, Any]:
 
 
 @functools.cache
-def _plan(cls: Hashable) -> tuple[tuple[str, ...], Callable[[Any], tuple[Any, ...]]]:
-    """Return the field names of a model class, and a function that reads their values."""
-    names = tuple(type_hints(cast(Any, cls)))
-    return names, values_getter(names)
+def _names(cls: Hashable) -> tuple[str, ...]:
+    return tuple(type_hints(cast(Any, cls)))
 
 
 def _members(value: Any) -> Any:
     """Return what the JSON encoder writes for a dataclass of the model."""
     cls: type[Any] = type(value)
-    names, values = _plan(cast(Hashable, cls))
-    members = dict(zip(names, values(value), strict=True))
+    members = {name: getattr(value, name) for name in _names(cast(Hashable, cls))}
     if cls in _SHAPE_CLASSES:
         members["kind"] = cls.__name__
     return members

@@ -9,11 +9,12 @@ of the robot model.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 from thorvaldc.diagnostics import DiagnosticError, Span
 from thorvaldc.model import quantities as si
 from thorvaldc.model.bus import Bus, Scalar
-from thorvaldc.model.element import Element
 from thorvaldc.model.settings import (
     DEFAULT_SETTINGS,
     CalculatorChoice,
@@ -28,7 +29,8 @@ from thorvaldc.model.spatial import Inertial, Pose, Vec3
 # -- modules: the types of the module library that the robot consists of ----------------
 
 
-class SourcedMass(Element):
+@dataclass(frozen=True, slots=True)
+class SourcedMass:
     """The mass of all parts of a module whose numbers have the same source.
 
     - ``mass``: mass in kg.
@@ -40,7 +42,8 @@ class SourcedMass(Element):
     source: str
 
 
-class Purchase(Element):
+@dataclass(frozen=True, slots=True)
+class Purchase:
     """What a module costs and how long its delivery takes, as far as the files state it.
 
     - ``price``: price of one module in ``currency``, or ``None``.
@@ -58,7 +61,8 @@ class Purchase(Element):
 NOT_STATED = Purchase(None, "", "", None)
 
 
-class Module(Element):
+@dataclass(frozen=True, slots=True)
+class Module:
     """A module of the robot: one use of a module type that is not an assembly.
 
     - ``name``: path of the module, such as ``fl.steering``.
@@ -83,7 +87,8 @@ class Module(Element):
 # -- links and joints -------------------------------------------------------------------
 
 
-class Link(Element):
+@dataclass(frozen=True, slots=True)
+class Link:
     """A rigid body.
 
     - ``name``: name of the link and of its frame, such as ``fl_steering_fork``.
@@ -104,7 +109,8 @@ class Link(Element):
         return f"<Link {self.name}: {mass}>"
 
 
-class Mimic(Element):
+@dataclass(frozen=True, slots=True)
+class Mimic:
     """A mimic joint, whose position depends on another joint: q = multiplier * q_joint + offset."""
 
     joint: str
@@ -112,7 +118,8 @@ class Mimic(Element):
     offset: si.JointPosition
 
 
-class Joint(Element):
+@dataclass(frozen=True, slots=True)
+class Joint:
     """A joint between two links.
 
     - ``name``: name of the joint, such as ``fl_steering_joint``.
@@ -157,7 +164,8 @@ class Joint(Element):
         return f"<Joint {self.name}: {self.type}, {self.parent} to {self.child}>"
 
 
-class JointServo(Element):
+@dataclass(frozen=True, slots=True)
+class JointServo:
     """A servo on a joint of an extra, such as an arm.
 
     The controllers of the arm command it; the base driver does not.
@@ -176,7 +184,8 @@ class JointServo(Element):
 # -- wheels and devices -------------------------------------------------------------------
 
 
-class Tread(Element):
+@dataclass(frozen=True, slots=True)
+class Tread:
     """A ring beside the tyre of a wheel, with which the wheel rolls on rails.
 
     - ``name``: name of the rolling radius of the ring in ``Wheel.radii``.
@@ -191,7 +200,8 @@ class Tread(Element):
     flange: si.Metres
 
 
-class Wheel(Element):
+@dataclass(frozen=True, slots=True)
+class Wheel:
     """A wheel of the robot, with positions and angles in ``base_link`` when every joint is at
     position 0.
 
@@ -269,7 +279,8 @@ class Wheel(Element):
         return dict(self.radii).get(name, self.radius) if name else self.radius
 
 
-class Brake(Element):
+@dataclass(frozen=True, slots=True)
+class Brake:
     """A spring-applied brake of a motor: current opens it, and without current it is closed.
 
     - ``torque``: holding torque at the joint in N m.
@@ -287,7 +298,8 @@ A larger steering offset is an error of the homing, which a calibration cannot c
 """
 
 
-class Actuator(Element):
+@dataclass(frozen=True, slots=True)
+class Actuator:
     """A motor with its gear on a joint.
 
     - ``name``, ``module``: name of the motor, and path of the module that it belongs to.
@@ -337,7 +349,8 @@ class Actuator(Element):
         return self.encoder_ppr * self.gear_ratio
 
 
-class Sensor(Element):
+@dataclass(frozen=True, slots=True)
+class Sensor:
     """A sensor of the robot.
 
     - ``type``: ``lidar_2d``, ``gnss``, ``imu``, ``camera`` or another word of the module type.
@@ -357,7 +370,8 @@ PARALLEL, SEPARATE = "parallel", "separate"
 """Values of ``Robot.battery_connection``."""
 
 
-class Battery(Element):
+@dataclass(frozen=True, slots=True)
+class Battery:
     """A battery enclosure of the robot.
 
     - ``module``, ``link``: path of the module, and name of the link of the enclosure.
@@ -373,11 +387,30 @@ class Battery(Element):
     properties: tuple[tuple[str, Scalar], ...]
     span: Span
 
+    @property
+    def voltage(self) -> float | None:
+        """Nominal voltage in V, or ``None`` if the module states none."""
+        return stated_number(self.properties, "voltage")
+
+    @property
+    def capacity(self) -> float | None:
+        """Capacity in A s, or ``None`` if the module states none."""
+        return stated_number(self.properties, "capacity")
+
+
+def stated_number(properties: Iterable[tuple[str, Scalar]], name: str) -> float | None:
+    """Return a property of a module that is a number, or ``None``."""
+    value = dict(properties).get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)
+
 
 # -- the robot --------------------------------------------------------------------------
 
 
-class Robot(Element):
+@dataclass(frozen=True, slots=True, weakref_slot=True)
+class Robot:
     """A whole robot.
 
     - ``name``: name of the robot.

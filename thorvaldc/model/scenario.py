@@ -6,18 +6,18 @@ All values are in SI units.
 from __future__ import annotations
 
 import enum
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import Fleet
-from thorvaldc.model.element import Element
 
 GROUPS = ("odometry", "truth", "twist", "joints")
 """Names of the groups of columns that a record of a run can contain."""
 
 
-class Command(Element):
+@dataclass(frozen=True, slots=True)
+class Command:
     """A commanded twist of ``base_link``, valid from ``time`` (s) until the next command.
 
     - ``vx``, ``vy``: forward velocity and velocity to the left in m/s.
@@ -33,7 +33,8 @@ class Command(Element):
     parameters: str = ""
 
 
-class WheelFault(Element):
+@dataclass(frozen=True, slots=True)
+class WheelFault:
     """An injected fault of a wheel.
 
     The base driver is not informed about the injected fault. The injected fault is active from the
@@ -58,7 +59,8 @@ class WheelFault(Element):
     span: Span
 
 
-class Noise(Element):
+@dataclass(frozen=True, slots=True)
+class Noise:
     """Standard deviations of the random measurement errors of the simulated sensors.
 
     - ``seed``: seed of the random number generator.
@@ -80,7 +82,8 @@ class Noise(Element):
     encoder_counts: bool = False
 
 
-class SensorSettings(Element):
+@dataclass(frozen=True, slots=True)
+class SensorSettings:
     """Settings of the simulated sensors (lidar, IMU, GNSS, camera) of all robots.
 
     - ``errors``: factor of the errors that the modules state; 0 for exact measurements.
@@ -97,7 +100,8 @@ class SensorSettings(Element):
     noise: Noise = Noise()
 
 
-class Expectation(Element):
+@dataclass(frozen=True, slots=True)
+class Expectation:
     """The allowed range of a metric of the run, checked for every robot of the scenario.
 
     - ``metric``: name of the metric.
@@ -111,7 +115,8 @@ class Expectation(Element):
     span: Span
 
 
-class Scenario(Element):
+@dataclass(frozen=True, slots=True)
+class Scenario:
     """A simulation run with the robots of a fleet in the world of the fleet.
 
     - ``duration``: duration of the run in s.
@@ -218,7 +223,8 @@ FRAME_FORMATS = ("standard", "extended", "remote")
 """Formats of forged frames: data frames with 11 or 29 bits of identifier, remote frames."""
 
 
-class BusFault(Element):
+@dataclass(frozen=True, slots=True)
+class BusFault:
     """A fault that the simulation injects into a CAN bus.
 
     The injected fault begins ``delay`` s after the simulated time ``time`` (s), or ``delay`` s
@@ -275,7 +281,8 @@ class BusFault(Element):
     format: str = "standard"
 
 
-class BusFaults(Element):
+@dataclass(frozen=True, slots=True)
+class BusFaults:
     """A list of faults to inject into the simulated CAN buses of a robot.
 
     - ``quirks``: quirks of all simulated CANopen devices;

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import keyword
 import re
+from dataclasses import dataclass
 
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import quantities as si
 from thorvaldc.model.bus import Scalar
-from thorvaldc.model.element import Element
 
 SAFETY_STOP = "safety_stop"
 """Name of the stop lock that every robot has."""
@@ -28,7 +28,8 @@ STOP_PRIORITY = 255
 """Priority of a twist lock from which on the lock is a stop lock, see ``TwistInput``."""
 
 
-class CalculatorChoice(Element):
+@dataclass(frozen=True, slots=True)
+class CalculatorChoice:
     """The name of the robot's base calculator and its options. The base calculator is a plug-in
     class that computes joint commands from a twist."""
 
@@ -36,7 +37,8 @@ class CalculatorChoice(Element):
     options: tuple[tuple[str, Scalar], ...] = ()
 
 
-class BatterySettings(Element):
+@dataclass(frozen=True, slots=True)
+class BatterySettings:
     """Reaction of the base driver to the state of charge of the batteries on the buses.
 
     All shares are 0 to 1. The battery with the lowest charge determines the reaction.
@@ -57,7 +59,8 @@ class BatterySettings(Element):
     silence: si.Seconds = 10.0
 
 
-class DriverSettings(Element):
+@dataclass(frozen=True, slots=True)
+class DriverSettings:
     """Settings of the base driver of a robot.
 
     The robot file can set limits of the commanded twist. If the robot file sets no limits, the
@@ -118,7 +121,8 @@ def first_ramp_step(driver: DriverSettings) -> tuple[float, float]:
     return RAMP_PERIOD * linear, RAMP_PERIOD * angular
 
 
-class ParameterSet(Element):
+@dataclass(frozen=True, slots=True)
+class ParameterSet:
     """A named set of parameters that the driver can select while the robot drives.
 
     - ``radii``: name of the rolling radii of the wheels, or ``None`` for ``Wheel.radius``. Wheels
@@ -132,7 +136,8 @@ class ParameterSet(Element):
     span: Span
 
 
-class TwistInput(Element):
+@dataclass(frozen=True, slots=True)
+class TwistInput:
     """A source of commanded twists for the twist multiplexer, or a twist lock that blocks sources.
 
     The twist multiplexer sends the commands of the active twist source with the highest priority to
@@ -208,7 +213,8 @@ _TAKEN = frozenset(
 _PACKAGE = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
-class RosSettings(Element):
+@dataclass(frozen=True, slots=True)
+class RosSettings:
     """Settings of the ROS 2 package of the robot.
 
     - ``distro``: distribution of ROS 2 that the package is for, one of ``DISTROS``.

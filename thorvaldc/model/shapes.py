@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 
 from thorvaldc.model import quantities as si
-from thorvaldc.model.element import Element
 from thorvaldc.model.spatial import Pose, Vec3
 
 
-class Box(Element):
+@dataclass(frozen=True, slots=True)
+class Box:
     """A box, centred on the origin of its frame. ``size`` has the full edge lengths of the box
     along x, y and z in m."""
 
     size: si.Position
 
 
-class Cylinder(Element):
+@dataclass(frozen=True, slots=True)
+class Cylinder:
     """A cylinder along the z axis, centred on the origin of its frame, with radius and full length
     in m."""
 
@@ -24,13 +25,15 @@ class Cylinder(Element):
     length: si.Metres
 
 
-class Sphere(Element):
+@dataclass(frozen=True, slots=True)
+class Sphere:
     """A sphere, centred on the origin of its frame, with the radius in m."""
 
     radius: si.Metres
 
 
-class MeshShape(Element):
+@dataclass(frozen=True, slots=True)
+class MeshShape:
     """A collision or visual shape from a mesh file of the robot.
 
     - ``mesh``: name of a mesh in ``Robot.meshes``.
@@ -44,7 +47,8 @@ class MeshShape(Element):
 Shape = Box | Cylinder | Sphere | MeshShape
 
 
-class Mesh(Element):
+@dataclass(frozen=True, slots=True)
+class Mesh:
     """A mesh file of a build, in the format STL or OBJ.
 
     URDF readers and MuJoCo both read STL and OBJ files. The compiler converts mesh files in other
@@ -60,7 +64,8 @@ class Mesh(Element):
     data: bytes = field(default=b"", compare=False, repr=False)
 
 
-class Visual(Element):
+@dataclass(frozen=True, slots=True)
+class Visual:
     """A visual shape of a link.
 
     - ``pose``: pose of the shape in the link frame.
@@ -72,7 +77,8 @@ class Visual(Element):
     color: tuple[float, float, float, float]
 
 
-class Collision(Element):
+@dataclass(frozen=True, slots=True)
+class Collision:
     """A collision shape of a link. ``pose`` is the pose of the shape in the link frame."""
 
     shape: Shape

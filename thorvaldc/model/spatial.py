@@ -9,9 +9,9 @@ X_BC``.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from thorvaldc.model import quantities as si
-from thorvaldc.model.element import Element
 from thorvaldc.model.sums import float_sum
 
 GRAVITY = 9.81
@@ -155,7 +155,8 @@ def rotate(q: Quat, v: Vec3) -> Vec3:
     )
 
 
-class Pose(Element):
+@dataclass(frozen=True, slots=True)
+class Pose:
     """The pose of one frame in another frame.
 
     - ``xyz``: position in m.
@@ -199,7 +200,8 @@ class Pose(Element):
         return Pose(clean3(self.xyz), (clean(q[0]), clean(q[1]), clean(q[2]), clean(q[3])))
 
 
-class Inertial(Element):
+@dataclass(frozen=True, slots=True)
+class Inertial:
     """The mass of a body in kg, its centre of mass ``com`` in m and its inertia in kg m^2.
 
     ``inertia`` contains the moments of inertia ``(ixx, iyy, izz, ixy, ixz, iyz)`` about the centre

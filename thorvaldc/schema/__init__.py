@@ -1,8 +1,7 @@
-"""The JSON Schema of each kind of document, such as robot or scenario, and a fast validator.
+"""The JSON Schema of each kind of document, such as robot or scenario.
 
 The files beside this one define the documents.  Text editors get a JSON Schema with local
-references.  The validators use a JSON Schema without references: the fast validator here, which
-says only whether a document is valid, and the package jsonschema.
+references.  The compiler checks and reads documents by a JSON Schema without references.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ import functools
 import json
 import re
 import typing
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -121,156 +119,3 @@ def inlined(kind: str) -> dict[str, Any]:
 
     schema: dict[str, Any] = expand(_load(kind), ())
     return schema
-
-
-# -- fast validator ----------------------------------------------------------------
-
-# Importing the package jsonschema takes longer than compiling a robot, and nearly all documents are
-# valid.  The package jsonschema is therefore loaded only to list the errors of a document that the
-# fast validator rejects.  The fast validator supports only the JSON Schema keywords that the
-# schemas of this package use.  If a JSON Schema contains any other keyword, the fast validator
-# rejects the document, and the package jsonschema decides.  Tests check that both agree.
-
-
-class _UnknownKeyword(Exception):
-    pass
-
-
-def passes(schema: dict[str, Any], value: Any) -> bool:
-    """Returns whether a value matches a JSON Schema without unknown keywords.
-
-    - ``schema``: a JSON Schema without references.
-    - ``value``: the document as plain Python dicts, lists and scalars.
-    """
-    try:
-        return _valid(schema, value)
-    except _UnknownKeyword:
-        return False
-
-
-def matches(pattern: str, text: str) -> bool:
-    """Returns whether a text matches a regular expression (``pattern``) of a JSON Schema.
-
-    In a Python regular expression, `$` also matches before a line feed at the end of a text.  In a
-    JSON Schema pattern, `$` matches only at the end of the text.
-    """
-    if pattern.endswith("$"):
-        pattern = pattern[:-1] + r"\Z"
-    return re.search(pattern, text) is not None
-
-
-def _valid(schema: Any, value: Any) -> bool:
-    if isinstance(schema, bool):
-        return schema
-    kind = type(value)
-    for keyword, argument in schema.items():
-        if keyword in _IGNORED:
-            continue
-        entry = _CHECKS.get(keyword)
-        if entry is None:
-            raise _UnknownKeyword(keyword)
-        kinds, check = entry
-        # A keyword such as ``minLength`` applies only to some types.
-        if (kinds is None or kind in kinds) and not check(argument, value, schema):
-            return False
-    return True
-
-
-_TYPES: dict[str, tuple[type, ...]] = {
-    "object": (dict,),
-    "array": (list,),
-    "string": (str,),
-    "boolean": (bool,),
-    "integer": (int,),
-    "number": (int, float),
-    "null": (type(None),),
-}
-
-
-def _type(types: Any, value: Any, _: Any) -> bool:
-    if isinstance(types, str):
-        return type(value) in _TYPES[types]
-    return any(type(value) in _TYPES[name] for name in types)
-
-
-# Loops, because a generator for each of the thousands of objects would take twice the time.
-
-
-def _properties(properties: Any, value: Any, _: Any) -> bool:
-    for key, entry in value.items():
-        if key in properties and not _valid(properties[key], entry):
-            return False
-    return True
-
-
-def _additional(additional: Any, value: Any, schema: Any) -> bool:
-    properties = schema.get("properties", ())
-    for key, entry in value.items():
-        if key not in properties and not _valid(additional, entry):
-            return False
-    return True
-
-
-def _all_valid(schema: Any, values: Any, _: Any) -> bool:
-    for value in values:  # noqa: SIM110
-        if not _valid(schema, value):
-            return False
-    return True
-
-
-def _any_valid(schemas: Any, value: Any, _: Any) -> bool:
-    for schema in schemas:  # noqa: SIM110
-        if _valid(schema, value):
-            return True
-    return False
-
-
-def _if(condition: Any, value: Any, schema: Any) -> bool:
-    branch = "then" if _valid(condition, value) else "else"
-    return _valid(schema.get(branch, True), value)
-
-
-def _equal(a: Any, b: Any) -> bool:
-    """Returns whether two scalars are equal in JSON, where ``1`` does not equal ``true``."""
-    return isinstance(a, bool) == isinstance(b, bool) and bool(a == b)
-
-
-_Check = Callable[[Any, Any, Any], bool]
-"""Checks one keyword of a schema.
-
-The first parameter is the argument of the keyword.  The second parameter is the value to check.
-The third parameter is the schema that contains the keyword.
-"""
-_OBJECT, _ARRAY, _STRING, _NUMBER = (dict,), (list,), (str,), (int, float)
-# JSON Schema keywords that have no check function: annotations, and the keywords `then` and `else`,
-# which the function `_if` evaluates.
-_IGNORED = {"description", "examples", "title", "default", "$schema", "$id", "then", "else"}
-# Of quantities: `document_section`.
-_IGNORED |= {"x-quantity", "x-words", "x-verbatim", "x-code"}
-_IGNORED |= {"x-minimum", "x-exclusive-minimum", "x-maximum"}
-_CHECKS: dict[str, tuple[tuple[type, ...] | None, _Check]] = {
-    "type": (None, _type),
-    "const": (None, lambda w, v, s: _equal(w, v)),
-    "enum": (None, lambda w, v, s: any(_equal(option, v) for option in w)),
-    "anyOf": (None, _any_valid),
-    "not": (None, lambda w, v, s: not _valid(w, v)),
-    "if": (None, _if),
-    "properties": (_OBJECT, _properties),
-    "additionalProperties": (_OBJECT, _additional),
-    "propertyNames": (_OBJECT, _all_valid),
-    "required": (_OBJECT, lambda w, v, s: all(map(v.__contains__, w))),
-    "dependentRequired": (
-        _OBJECT,
-        lambda w, v, s: all(k not in v or all(d in v for d in w[k]) for k in w),
-    ),
-    "minProperties": (_OBJECT, lambda w, v, s: len(v) >= w),
-    "maxProperties": (_OBJECT, lambda w, v, s: len(v) <= w),
-    "items": (_ARRAY, _all_valid),
-    "minItems": (_ARRAY, lambda w, v, s: len(v) >= w),
-    "maxItems": (_ARRAY, lambda w, v, s: len(v) <= w),
-    "pattern": (_STRING, lambda w, v, s: matches(w, v)),
-    "minLength": (_STRING, lambda w, v, s: len(v) >= w),
-    "minimum": (_NUMBER, lambda w, v, s: v >= w),
-    "maximum": (_NUMBER, lambda w, v, s: v <= w),
-}
-"""The check of each keyword, and the types of values to which it applies, ``None`` for all."""

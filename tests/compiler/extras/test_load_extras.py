@@ -45,6 +45,15 @@ def test_a_root_link_is_mounted_on_the_parent_at_its_pose(tmp_path: Path) -> Non
     assert loaded.link("mast").span.line == 3
 
 
+def test_an_unusual_number_of_a_pose_is_reported_with_a_unit(tmp_path: Path) -> None:
+    loaded = load_one(tmp_path, '<link name="mast"/>', ", xyz: [0, 285, 0]")
+    assert (loaded.only.code.name, loaded.only.span and loaded.only.span.line) == (
+        "number-without-unit",
+        1,
+    )
+    assert "`285 mm`" in (loaded.only.hint or "")
+
+
 def test_the_pose_is_relative_to_the_frame_of_the_port(tmp_path: Path) -> None:
     loaded = load_one(tmp_path, '<link name="mast"/>', ", parent: frame.side, xyz: [1, 0, 0]")
     assert loaded.joint("mast_mount").pose.xyz == pytest.approx((0.0, 2.0, 0.0))

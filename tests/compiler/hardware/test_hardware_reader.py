@@ -95,6 +95,13 @@ def test_stated_inertia_rotates_with_its_part(workshop: Workshop) -> None:
     assert computed.inertia == pytest.approx((2.0, 1.0, 2.5, -0.1, -0.3, 0.2))
 
 
+def test_an_expression_gives_the_inertia(workshop: Workshop) -> None:
+    text = "mass: 2, com: [0, 0, 0], inertia: '${moments}'"
+    moments = "let: {moments: [1 kg m^2, 2 kg m^2, 2.5 kg m^2, 0 kg m^2, 0 kg m^2, 0 kg m^2]}\n"
+    computed = inertial(workshop.part(body(part(text), moments)))
+    assert computed.inertia == (1.0, 2.0, 2.5, 0.0, 0.0, 0.0)
+
+
 def test_part_without_mass_is_only_visual(workshop: Workshop) -> None:
     parts = part("shape: {box: [1, 1, 1]}") + part("shape: {sphere: {radius: 0.1}}, mass: 2")
     link = workshop.part(body(parts)).link("part_body")

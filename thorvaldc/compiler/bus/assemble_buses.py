@@ -416,7 +416,7 @@ def foreign_devices(
             )
             services = None
         frames = [
-            *_relayed(name, device, scope, report),
+            *_relayed(name, device, scope),
             *device_frames.standard_frames(
                 name, node_id or 0, services, device_frames.HEARTBEAT_PERIOD
             ),
@@ -441,9 +441,9 @@ def _node(name: str, node_id: int | None, span: Span) -> Node:
     return Node(name, "", PROTOCOL, node_id or 0, id_space, None, None, (), (), span)
 
 
-def _relayed(
-    name: str, device: source.Node, scope: Scope, report: Report
-) -> Iterator[FrameDefinition]:
+def _relayed(name: str, device: source.Node, scope: Scope) -> Iterator[FrameDefinition]:
+    device_schema = inlined("robot")["properties"]["foreign_devices"]["additionalProperties"]
+    schema = device_schema["properties"]["frames"]["additionalProperties"]
     for key, node in entries(device.get("frames")).items():
         cob_id, length = node.get("cob_id"), node.get("length")
         if cob_id is None or type(cob_id.value) is not int:
@@ -461,5 +461,5 @@ def _relayed(
             (),
             node.where,
             scope.text(node.get("description")),
-            device_frames.minimum_interval(scope, node, report),
+            device_frames.minimum_interval(Section(node, schema, scope)),
         )

@@ -25,10 +25,12 @@ from thorvaldc.compiler.source import dimensions
 from thorvaldc.compiler.source.node import Node, insertion
 from thorvaldc.compiler.source.unit_table import QUANTITIES, Dimension
 from thorvaldc.compiler.source.units import UnitError, parse_unit
+from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Label, Proposal, Report, Span, did_you_mean
 from thorvaldc.model import FrameDefinition, Signal
 from thorvaldc.model.bus import MASTER, OBJECT_TYPES
+from thorvaldc.schema import inlined
 
 HEARTBEAT_PERIOD = 0.1  # default heartbeat period of a device in s
 LAST_PDO = 512
@@ -85,6 +87,8 @@ def frames_of(
     Reports an error for each invalid CAN frame, and leaves the CAN frame out of the result.
     """
     scope, name = device.scope, device.name
+    can_schema = inlined("module")["properties"]["can"]
+    schema = can_schema["properties"]["frames"]["additionalProperties"]
     for key, node in entries(device.can.get("frames")).items():
         cob_id = _cob_id(device, key, node, report)
         if cob_id is None:
@@ -128,7 +132,7 @@ def frames_of(
                 kept,
                 node.where,
                 scope.text(node.get("description")),
-                minimum_interval(scope, node, report) if period is None else None,
+                minimum_interval(Section(node, schema, scope)) if period is None else None,
                 pdo=number,
                 mapping=mapping,
                 synchronous=synchronous,
@@ -148,21 +152,13 @@ def _by_timer(cycle: float) -> float:
     return max(math.floor(cycle * 1000 + 1e-6), 1) / 1000
 
 
-def minimum_interval(scope: Scope, frame: Node, report: Report) -> float | None:
+def minimum_interval(frame: Section) -> float | None:
     """Returns the minimum time (s) between two CAN frames with the same identifier.
 
-    Returns ``None`` if the module document sets no `rate` for the CAN frame.  If the rate of the
-    CAN frame is not positive, reports an error and returns ``None``.
+    Returns ``None`` if the document sets no `rate` for the CAN frame.
     """
-    node = frame.get("rate")
-    if node is None:
-        return None
-    rate = scope.quantity(node, "frequency", math.nan)
-    if rate > 0.0:
-        return 1.0 / rate
-    if not math.isnan(rate):  # NaN means that an invalid rate is already reported
-        report.add("can-period", f"the rate is {rate:g} Hz; it must be positive", node.span)
-    return None
+    rate: float | None = frame["rate"]
+    return None if rate is None else 1.0 / rate
 
 
 def standard_frames(

@@ -303,18 +303,6 @@ def _node(
     scope, can = device.scope, device.can
     wired = {wire.channel: wire.actuator.name for wire in reversed(device.wires)}
 
-    def number(key: str) -> int | None:
-        node = can.get(key)
-        value = sections.integer(scope, node, 0)
-        if node is None or 0 <= value <= 0xFFFFFFFF:
-            return value if node is not None else None
-        scope.report.add(
-            "can-object-range",
-            f"`{key}` is {value}; it must fit into 32 bits",
-            node.span,
-        )
-        return None
-
     stated = Section(can, inlined("module")["properties"]["can"], scope)
     beats = [f.period for f in frames if f.kind == "heartbeat" and f.period is not None]
     return Node(
@@ -323,7 +311,7 @@ def _node(
         scope.text(can.get("protocol")),
         node_id,
         _id_space(device),
-        number("vendor_id"),
+        stated["vendor_id"],
         request.serial,
         tuple(
             Channel(name, scope.text(node.get("role")), wired.get(name))
@@ -336,9 +324,9 @@ def _node(
         ),
         device.span,
         automatic=request.id is None,
-        product_code=number("product_code"),
-        revision_number=number("revision_number"),
-        device_type=number("device_type"),
+        product_code=stated["product_code"],
+        revision_number=stated["revision_number"],
+        device_type=stated["device_type"],
         lss=scope.boolean(can.get("lss"), False),
         heartbeat_timeout=stated.get("heartbeat_timeout", HEARTBEATS_MISSED * beats[0])
         if beats

@@ -12,6 +12,7 @@ from thorvaldc.compiler.hardware.hardware_reader import Hardware
 from thorvaldc.compiler.hardware.robot_parts import RobotParts
 from thorvaldc.compiler.modules.module_tree import Instance, References, name_prefix
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.values.document_section import read_pose
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.model import Joint, JointServo, Link, Mesh, Pose
 
@@ -78,7 +79,7 @@ class Attachments:
             if leaf.type is not None and leaf.path in self.first_links:
                 port = leaf.type.section("ports")[port_name]
                 link = leaf.scope.text(port.get("link")) or self.hardware[leaf.path].links[0].name
-                return Attachment(f"{name_prefix(leaf.path)}_{link}", leaf.scope.pose(port))
+                return Attachment(f"{name_prefix(leaf.path)}_{link}", read_pose(port, leaf.scope))
         part_and_rest = references.find(self.robot, reference, node)
         if part_and_rest is not None and not part_and_rest[1]:
             for leaf in part_and_rest[0].leaves():

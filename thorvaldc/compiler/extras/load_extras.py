@@ -25,11 +25,12 @@ from thorvaldc.compiler.shapes.meshes import load_mesh
 from thorvaldc.compiler.source.input_file import FOLDERS, XACRO_FILES, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.readable_folders import is_below
-from thorvaldc.compiler.source.units import UnitError, parse_quantity
-from thorvaldc.compiler.values.value_reader import items
+from thorvaldc.compiler.values.document_section import Section
+from thorvaldc.compiler.values.value_reader import ValueReader, items
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.diagnostics.report import grouped
 from thorvaldc.model import Joint, JointServo, Link, Mesh, Pose, Vec3
+from thorvaldc.schema import inlined
 
 
 def add_extras(
@@ -216,6 +217,8 @@ class _Entry:
             )
             return None
         packages = node.get("packages")
+        schema = inlined("robot")["properties"]["extras"]["items"]
+        values = Section(node, schema, ValueReader(report, on_robot=True))
         return _Entry(
             node,
             file,
@@ -223,11 +226,8 @@ class _Entry:
             _texts(node.get("env")),
             _package_folders(packages, base_dir, paths, report),
             node.get("parent"),
-            Pose.from_xyz_rpy(
-                _vector(node.get("xyz"), "length", report),
-                _vector(node.get("rpy"), "angle", report),
-            ).clean(),
-            _density(node.get("density"), report),
+            values.pose().clean(),
+            values["density"],
             node.get("parent") or node.get("xyz") or node.get("rpy"),
         )
 
@@ -264,40 +264,6 @@ def _text(node: Node) -> str:
     if isinstance(node.value, bool):
         return "true" if node.value else "false"
     return "" if node.value is None else str(node.value)
-
-
-def _vector(node: Node | None, quantity: str, report: Report) -> Vec3:
-    """Returns a YAML list of three quantities as a vector in SI units.
-
-    - ``node``: a list of three numbers or quantities.  If the YAML list is missing, returns the
-      zero vector.
-    - ``quantity``: expected kind of quantity, a key of ``QUANTITIES``.
-    """
-    if node is None or not isinstance(node.value, tuple) or len(node.value) != 3:
-        return (0.0, 0.0, 0.0)
-    x, y, z = (_quantity(item, quantity, report) or 0.0 for item in node.value)
-    return (x, y, z)
-
-
-def _density(node: Node | None, report: Report) -> float | None:
-    """Returns the density of an entry in kg/m^3, or ``None``."""
-    density = _quantity(node, "density", report) if node is not None else None
-    if node is None or density is None or density > 0.0:
-        return density
-    report.add("extra-number", f"the density must be greater than 0, not {density:g}", node.span)
-    return None
-
-
-def _quantity(node: Node, quantity: str, report: Report) -> float | None:
-    """Returns a quantity of the robot file in SI units; an error in it is reported."""
-    if isinstance(node.value, str):
-        try:
-            return parse_quantity(node.value, quantity)
-        except UnitError as error:
-            report.add(error.code, error.message, node.span, hint=error.hint)
-    elif isinstance(node.value, (int, float)):
-        return float(node.value)
-    return None
 
 
 # -- from an expanded file to parts -------------------------------------------------

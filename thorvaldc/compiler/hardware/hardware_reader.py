@@ -26,10 +26,11 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.readable_folders import is_below, real_folders
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import INVALID, entries, items
-from thorvaldc.diagnostics import Proposal, Report, did_you_mean, nearest, plain
+from thorvaldc.diagnostics import Proposal, Report, did_you_mean, nearest
 from thorvaldc.model.robot import NOT_STATED
 from thorvaldc.model.sensor_numbers import SENSOR_NUMBERS
 from thorvaldc.model.spatial import clean, combine
+from thorvaldc.schema import inlined
 
 
 class Hardware(NamedTuple):
@@ -326,20 +327,20 @@ class _HardwareReader:
         Returns the inertia of the part in the frame of the link, or ``None`` for a part without
         mass.
         """
-        shape_node = part.get("shape")
-        pose = scope.pose(part).clean()
-        collides = scope.boolean(part.get("collide"), False)
-        shape = self._shape(shape_node, scope, collides) if shape_node is not None else None
+        links = inlined("module")["properties"]["links"]["additionalProperties"]
+        values = Section(part, links["properties"]["parts"]["items"], scope)
+        pose, collides = values.pose().clean(), values["collide"]
+        shape = self._shape(values["shape"], scope, collides)
         if shape is not None:
-            if scope.boolean(part.get("show"), True):
+            if values["show"]:
                 visuals.append(model.Visual(shape, pose, self._color(part.get("color"), scope)))
             if collides:
                 collisions.append(model.Collision(shape, pose))
-        inertial = self._inertial(part, shape, scope)
+        inertial = self._inertial(values, shape, scope)
         return inertial.transformed(pose) if inertial is not None else None
 
     def _inertial(
-        self, part: Node, shape: model.Shape | None, scope: Scope
+        self, part: Section, shape: model.Shape | None, scope: Scope
     ) -> model.Inertial | None:
         """Returns the mass and the inertia of a link part in the coordinate frame of the part.
 
@@ -347,70 +348,39 @@ class _HardwareReader:
         computed.  The shape of the uniform solid is the value of `inertia_shape`, or the visual
         shape of the link part.
         """
-        mass_node = part.get("mass")
-        if mass_node is None:
+        mass = part["mass"]
+        if mass is None:
             return None
-        mass = scope.quantity(mass_node, "mass")
-        if mass < 0:
-            self.report.add(
-                "mass-negative", f"the mass is {mass:g} kg; it must not be negative", mass_node.span
-            )
-            return None
-        stated_inertia = part.get("inertia")
-        if stated_inertia is not None:
-            values = [scope.quantity(item, "inertia") for item in items(stated_inertia)]
-            xx, yy, zz, xy, xz, yz = [*values, *[0.0] * 6][:6]
-            com = scope.vector(part.get("com"), "length")
-            return model.Inertial(mass, com, (xx, yy, zz, xy, xz, yz))
-        inertia_shape = part.get("inertia_shape")
-        if inertia_shape is not None:
-            shape = self._shape(inertia_shape, scope, False)
+        if "inertia" in part:
+            return model.Inertial(mass, part.get("com", (0.0, 0.0, 0.0)), part["inertia"])
+        if "inertia_shape" in part:
+            shape = self._shape(part["inertia_shape"], scope, False)
         if shape is None or isinstance(shape, model.MeshShape):
-            if shape is not None or part.get("shape") is None:
+            stated = map(part.node.get, ("shape", "inertia", "inertia_shape"))
+            if shape is not None or not any(stated):  # else it has an error
                 self.report.add(
                     "inertia-unknown",
                     "the mass has no solid shape from which to compute the inertia",
-                    mass_node.where,
+                    part.entry("mass").where,
                     hint="add `inertia_shape: {box: [...]}` or `com` and `inertia`",
                 )
             return None
-        wall = part.get("wall")
-        thickness = scope.quantity(wall, "length") if wall is not None else None
-        if wall is not None and thickness is not None:
-            self._check_positive((thickness,), wall)
-        return uniform_solid(shape, mass, thickness)
+        return uniform_solid(shape, mass, part["wall"])
 
-    def _shape(self, node: Node, scope: Scope, collides: bool) -> model.Shape | None:
+    def _shape(self, shape: Section, scope: Scope, collides: bool) -> model.Shape | None:
         """Reads a box, cylinder, sphere or mesh of a module document.
 
         The sizes of the shape are in m.
         """
-        box, cylinder = node.get("box"), node.get("cylinder")
-        sphere, mesh = node.get("sphere"), node.get("mesh")
-        if box is not None:
-            size = scope.vector(box, "length")
-            self._check_positive(size, box)
-            return model.Box(size)
-        if cylinder is not None:
-            radius = scope.quantity(cylinder.get("radius"), "length")
-            length = scope.quantity(cylinder.get("length"), "length")
-            self._check_positive((radius, length), cylinder)
-            return model.Cylinder(radius, length)
-        if sphere is not None:
-            radius = scope.quantity(sphere.get("radius"), "length")
-            self._check_positive((radius,), sphere)
-            return model.Sphere(radius)
-        if mesh is not None:
-            return self._mesh(mesh, scope, collides)
+        if "box" in shape:
+            return model.Box(shape["box"])
+        if "cylinder" in shape:
+            return model.Cylinder(shape["cylinder"]["radius"], shape["cylinder"]["length"])
+        if "sphere" in shape:
+            return model.Sphere(shape["sphere"]["radius"])
+        if "mesh" in shape:
+            return self._mesh(shape["mesh"].node, scope, collides)
         return None
-
-    def _check_positive(self, sizes: tuple[float, ...], node: Node) -> None:
-        """Checks that all sizes of a box, cylinder or sphere are greater than 0."""
-        if min(sizes) <= 0.0 and not self.report.has_errors:
-            shown = ", ".join(plain(size) for size in sizes)
-            self.report.add(
-                "size-not-positive", f"sizes must be positive, not {shown} m", node.span
-            )
 
     def _mesh(self, node: Node, scope: Scope, collides: bool) -> model.MeshShape | None:
         """Reads a mesh file and adds the mesh to ``meshes``."""
@@ -451,12 +421,17 @@ class _HardwareReader:
         A scale may be a length, that of one unit of the mesh.
         """
         length = EXPECTED["length"]
-        if scale is not None and not isinstance(scale.value, tuple):
+        if scale is None:
+            return (1.0, 1.0, 1.0)
+        if not isinstance(scale.value, tuple):
             value = scope.evaluate(scale)
             if isinstance(value, int | float | str):
                 factor = scope.quantity(scale, "ratio", 1.0, length)
                 return (factor, factor, factor)
-        return scope.vector(scale, "ratio", (1.0, 1.0, 1.0), length)
+            factors = scope.numbers(scale, "ratio", 3, length)
+            return factors if factors is not INVALID else (1.0, 1.0, 1.0)
+        x, y, z = (scope.quantity(factor, "ratio", 1.0, length) for factor in items(scale))
+        return (x, y, z)
 
     def _color(self, node: Node | None, scope: Scope) -> RGBA:
         """Returns a colour as red, green, blue and alpha, each from 0 to 1.

@@ -44,16 +44,14 @@ class ModuleType:
     display : name of the module file in spans.
     document : YAML tree of the module file.
     elaborated : cache of the hardware of the module, by the values of the parameters.
-    constants : cache of the values of nodes of ``document`` without expressions, by their ``id``.
     """
 
     name: str
     folder: Path
     display: str
     document: Node
-    # A copy with another document (`replace`) has caches of its own.
+    # A copy with another document (`replace`) has a cache of its own.
     elaborated: dict[Any, Any] = field(default_factory=dict, init=False)
-    constants: dict[int, Any] = field(default_factory=dict, init=False)
 
     @property
     def category(self) -> str:

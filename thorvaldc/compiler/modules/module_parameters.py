@@ -130,8 +130,6 @@ class Scope(values.ValueReader):
         span of the entry.  ``None``: missing parameters are not reported.
     """
 
-    on_robot = True
-
     def __init__(
         self,
         module: ModuleType | None,
@@ -140,7 +138,7 @@ class Scope(values.ValueReader):
         report: Report,
         entry: Node | None,
     ) -> None:
-        super().__init__(report)
+        super().__init__(report, on_robot=True)
         self.module = module
         self.library = library
         self.depth = 0
@@ -328,26 +326,8 @@ class Scope(values.ValueReader):
                     hint=_missing_param_hint(name, declaration, self._entry),
                 )
             return values.INVALID
-        value = self._stated(default, declaration, is_default=True)
+        value = self._typed(default, declaration, is_default=True)
         return self._in_range(name, declaration, default, value)
-
-    def _stated(self, node: Node, declaration: Node, *, is_default: bool = False) -> Any:
-        """Returns ``_typed`` of a node of the module document.
-
-        A value without an expression is the same for all uses of the module: it is computed once.
-        """
-        constants = self.module.constants if self.module is not None else {}
-        if id(node) in constants:
-            return constants[id(node)]
-        if _kind(declaration) == "module" or not _is_constant(node):
-            return self._typed(node, declaration, is_default=is_default)
-        outer, self.report = self.report, Report()
-        value = self._typed(node, declaration, is_default=is_default)
-        own, self.report = self.report, outer
-        outer.extend(own)
-        if len(own) == 0:  # each use reports its own problems
-            constants[id(node)] = value
-        return value
 
     def _typed(self, node: Node, declaration: Node, *, is_default: bool = False) -> Any:
         """Returns the value of a YAML node, converted to the declared type of a parameter.
@@ -463,7 +443,7 @@ class Scope(values.ValueReader):
             limit_node = declaration.get(key)
             if limit_node is None:
                 continue
-            limit = self._stated(limit_node, declaration)
+            limit = self._typed(limit_node, declaration)
             if limit is not values.INVALID and sign * value < sign * limit:
                 limit_text = plain(limit)
                 if isinstance(limit_node.value, str) and not limit_node.value.startswith("${"):
@@ -491,7 +471,7 @@ class Scope(values.ValueReader):
             is_known = value.module.name in known
         else:
             is_known = value in [
-                self._stated(choice, declaration) for choice in values.items(choices)
+                self._typed(choice, declaration) for choice in values.items(choices)
             ]
         if is_known:
             return value
@@ -503,13 +483,6 @@ class Scope(values.ValueReader):
             hint=did_you_mean(str(node.value), known),
         )
         return values.INVALID
-
-
-def _is_constant(node: Node) -> bool:
-    """Returns whether a scalar or a list of scalars contains no expression."""
-    if isinstance(node.value, tuple):
-        return all(map(_is_constant, node.value))
-    return not isinstance(node.value, dict) and not str(node.value).startswith("${")
 
 
 def _in_si(value: Any, node: Node) -> Any:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from thorvaldc.compiler.modules import module_tree
 from thorvaldc.compiler.modules.module_parameters import hint_of_known
 from thorvaldc.compiler.source.node import Node, removal
+from thorvaldc.compiler.values.document_section import read_pose
 from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Label, Proposal, Report
 from thorvaldc.model import Pose, Robot
@@ -98,7 +99,7 @@ class Mounting:
         """
         scope = inside.scope
         if isinstance(node.value, dict):
-            pose = scope.pose(node)
+            pose = read_pose(node, scope)
             parent, port = node.get("parent"), node.get("port")
         else:
             pose, parent, port = Pose(), None, node
@@ -117,7 +118,7 @@ class Mounting:
         kind = leaf.scope.text(port_section.get("kind"))
         self._check_kind(mounted_leaf, kind, reference, port, port_section)
         link = leaf.scope.text(port_section.get("link"))
-        return module_tree.Mount(leaf, link, leaf.scope.pose(port_section) * pose, port.span)
+        return module_tree.Mount(leaf, link, read_pose(port_section, leaf.scope) * pose, port.span)
 
     def _free_mount(
         self,
@@ -164,7 +165,7 @@ class Mounting:
             return None
         self._check_kind(mounted_leaf, leaf.scope.text(free.get("kind")), reference, parent, free)
         return module_tree.Mount(
-            leaf, leaf.scope.text(free.get("link")), leaf.scope.pose(free) * pose, parent.span
+            leaf, leaf.scope.text(free.get("link")), read_pose(free, leaf.scope) * pose, parent.span
         )
 
     def _check_kind(
@@ -222,8 +223,8 @@ class Mounting:
         """Returns the references to the free ports of a module that fit a mounted module."""
         references = []
         for name, section in carrier.type.section("ports").items() if carrier.type else ():
-            link = carrier.scope.text(section.get("link"))
-            mount = module_tree.Mount(carrier, link, carrier.scope.pose(section), section.span)
+            link, pose = carrier.scope.text(section.get("link")), read_pose(section, carrier.scope)
+            mount = module_tree.Mount(carrier, link, pose, section.span)
             kind = carrier.scope.text(section.get("kind"))
             is_present = carrier.scope.boolean(section.get("when"), True)
             if is_present and mount.place not in occupied and kind in mount_kinds(mounted):
@@ -316,7 +317,7 @@ def mounting_ports(tree: module_tree.Instance, robot: Robot) -> list[MountingPor
                         f"{module_tree.name_prefix(leaf.path)}_{link_name}"
                         if link_name
                         else first_links[leaf.path],
-                        scope.pose(section),
+                        read_pose(section, scope),
                         tuple(carried.get((leaf.path, port), ())),
                     )
                 )

@@ -162,9 +162,7 @@ def read_battery_connection(
 
 
 def _check_voltages(batteries: Sequence[Battery], connection: Node, report: Report) -> None:
-    from thorvaldc.model.facts.electrics import battery_voltage
-
-    stated = [(b, v) for b in batteries if (v := battery_voltage(b)) is not None]
+    stated = [(b, v) for b in batteries if (v := b.voltage) is not None]
     for battery, voltage in stated[1:]:
         first, expected = stated[0]
         if not math.isclose(voltage, expected, rel_tol=1e-6):

@@ -1,10 +1,8 @@
 """Checks documents against the JSON Schemas in ``thorvaldc/schema``.
 
-The fast validator of ``thorvaldc.schema`` checks each document first.  If it rejects a document,
-the package jsonschema lists the schema errors of the document.  The module ``schema_diagnostics``
-converts errors of jsonschema to diagnostics with source spans.  Quantities such as ``1.5 m/s`` are
-also checked for a valid number and unit.  The schema keyword ``x-quantity`` lists the allowed kinds
-of quantity, such as a length.
+One walk over document and schema checks the shape of each value and each quantity.  If the shape is
+wrong, the package jsonschema lists the schema errors of the document.  The module
+``schema_diagnostics`` converts errors of jsonschema to diagnostics with source spans.
 
 The kind of a document is recognised by its top-level keys.
 """
@@ -17,10 +15,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.compiler.source.unit_table import QUANTITIES
-from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
+from thorvaldc.compiler.validation.schema_walk import SchemaWalk, matches
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.schema import Kind, inlined, matches, passes
+from thorvaldc.schema import Kind, inlined
 
 MAX_DIAGNOSTICS = 1000
 
@@ -33,27 +30,25 @@ def check(node: Node, kind: Kind, report: Report) -> bool:
     ``report`` already contains an error about a value, no further diagnostic about the value is
     added.
     """
-    schema = inlined(kind)
     # The YAML reader returns the most likely value of an invalid scalar.  A schema error about the
     # most likely value of an invalid scalar could be misleading.
     reported = {diagnostic.span for diagnostic in report.errors if diagnostic.span is not None}
-    valid = True
-    plain = node.plain()
-    if not passes(schema, plain):
+    walk, is_valid = SchemaWalk(kind), True
+    if not walk.fits(inlined(kind), node):
         from thorvaldc.compiler.validation.schema_diagnostics import explain
 
-        for error in _validator(kind).iter_errors(plain):
-            valid = False
+        for error in _validator(kind).iter_errors(node.plain()):
+            is_valid = False
             explain(error, node, kind, reported, report)
             if len(report) > MAX_DIAGNOSTICS:
                 return False
-    for span, error in _quantity_errors(node, schema, kind):
+    for span, unit_error in walk.errors:
         if len(report) > MAX_DIAGNOSTICS:
             return False
         if span not in reported:
-            valid = False
-            report.add(error.code, error.message, span, hint=error.hint)
-    return valid
+            is_valid = False
+            report.add(unit_error.code, unit_error.message, span, hint=unit_error.hint)
+    return is_valid
 
 
 @functools.cache
@@ -98,70 +93,6 @@ def _blanked(node: Node, spans: set[Span]) -> Node:
     elif isinstance(value, tuple):
         value = tuple(_blanked(item, spans) for item in value)
     return Node(value, node.span, node.key_span, node.quoted)
-
-
-# -- quantities -----------------------------------------------------------------------
-
-
-def _quantity_errors(
-    node: Node, schema: dict[str, Any], kind: Kind
-) -> Iterator[tuple[Span, UnitError]]:
-    value = node.value
-    if isinstance(value, str):
-        quantities = schema.get("x-quantity")
-        if value.startswith("${"):
-            if kind != "module" and not schema.get("x-verbatim"):
-                yield node.span, _expression_error(kind)
-        elif quantities is not None and value not in schema.get("x-words", ()):
-            error = _quantity_error(value, quantities)
-            if error is not None:
-                yield node.span, error
-    elif isinstance(value, dict):
-        properties = schema.get("properties", {})
-        additional = schema.get("additionalProperties")
-        for key, entry in value.items():
-            inner = properties.get(key, additional)
-            if isinstance(inner, dict):
-                yield from _quantity_errors(entry, inner, kind)
-    elif isinstance(value, tuple):
-        inner = schema.get("items")
-        if isinstance(inner, dict):
-            for item in value:
-                yield from _quantity_errors(item, inner, kind)
-
-
-def _quantity_error(text: str, quantities: str | list[str]) -> UnitError | None:
-    """Returns the error message for an invalid quantity, or ``None`` if the quantity is valid.
-
-    - ``text``: a number with a unit.
-    - ``quantities``: one or several allowed kinds of quantity.  The value ``any`` of ``x-quantity``
-      allows every kind of quantity.
-    """
-    names = [quantities] if isinstance(quantities, str) else quantities
-    first: UnitError | None = None
-    for quantity in names:
-        try:
-            if quantity == "any":
-                parse_any(text)
-            else:
-                parse_quantity(text, quantity)
-        except UnitError as error:
-            first = first or error
-        else:
-            return None
-    if first is not None and first.code == "wrong-dimension" and len(names) > 1:
-        kinds = " or ".join(str(QUANTITIES[name]) for name in names)
-        actual = first.message.partition(";")[0]
-        return UnitError(f"{actual}; expected {kinds}", first.hint, first.code)
-    return first
-
-
-def _expression_error(kind: Kind) -> UnitError:
-    return UnitError(
-        f"a {kind} document cannot contain expressions",
-        "write the value; expressions belong in module documents",
-        "expression-not-allowed",
-    )
 
 
 # -- kinds of documents -----------------------------------------------------------

@@ -16,11 +16,12 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import parse_quantity
 from thorvaldc.compiler.values.value_reader import INVALID, ValueReader, entries
-from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics import Span
 from thorvaldc.model import Pose
 from thorvaldc.schema import Kind, inlined
 
 Schema = dict[str, Any]
+_ZERO = (0.0, 0.0, 0.0)
 _EMPTY: dict[str, Any] = {"array": (), "object": {}, "string": ""}
 
 
@@ -114,9 +115,8 @@ class Section:
 
         ``bounds``: values in SI units by the keyword of a schema, such as ``x-minimum``.
         """
-        schema, span = self._schema["properties"][key], self.entry(key).span
-        quantity = schema["x-quantity"]
-        return _is_within(self[key], bounds, schema, quantity, span, key, self._reader.report)
+        schema = self._schema["properties"][key]
+        return self._is_within(self[key], schema, key, self.entry(key).span, bounds)
 
     def shown(self, key: str, value: float) -> str:
         """Returns a value that the key can have as text with its SI unit."""
@@ -124,7 +124,7 @@ class Section:
 
     def pose(self) -> Pose:
         """Returns the pose of the keys `xyz` (m) and `rpy` (rad)."""
-        return Pose.from_xyz_rpy(self["xyz"], self["rpy"])
+        return Pose.from_xyz_rpy(self.get("xyz", _ZERO), self.get("rpy", _ZERO))
 
     def planar_pose(self) -> Pose:
         """Returns the pose of the keys `xyz` (m) and `yaw` (rad, reduced to -pi to pi)."""
@@ -147,10 +147,14 @@ class Section:
         if schema.get("x-verbatim") or value in schema.get("x-words", ()):
             return value
         if "x-quantity" in inner:  # An expression gives the vector.
-            return self._reader.vector(node, inner["x-quantity"])
+            numbers = self._reader.numbers(node, inner["x-quantity"], schema["minItems"])
+            is_valid = numbers is INVALID or all(
+                self._is_within(number, inner, key, node.span) for number in numbers
+            )
+            return numbers if is_valid else INVALID
         quantity = self._quantity(schema)
         if quantity is None:
-            return self._reader.value(node)
+            return self._scalar(node, schema)
         number = self._reader.quantity(node, quantity, math.nan)
         if math.isnan(number):
             return INVALID
@@ -158,16 +162,67 @@ class Section:
             message = f"`{key}` is {number:.6g}; it must be a whole number"
             self._reader.report.add("wrong-type", message, node.span)
             return INVALID
-        is_valid = _is_within(number, schema, schema, quantity, node.span, key, self._reader.report)
-        if not is_valid:
+        if not self._is_within(number, schema, key, node.span):
             return INVALID
         return int(number) if "integer" in schema.get("type", ()) else number
+
+    def _is_within(
+        self, value: float, schema: Schema, key: str, span: Span, bounds: Schema | None = None
+    ) -> bool:
+        """Checks that a quantity in SI units is within its bounds, and reports it if it is not.
+
+        ``bounds``: bounds instead of those of the schema.
+        """
+        bounds, quantity = bounds or schema, self._quantity(schema) or "number"
+
+        def in_si(keyword: str, otherwise: float) -> float:
+            bound = bounds.get(keyword, otherwise)
+            return parse_quantity(bound, quantity) if isinstance(bound, str) else bound
+
+        least, lower = in_si("x-minimum", -math.inf), in_si("x-exclusive-minimum", -math.inf)
+        most = in_si("x-maximum", math.inf)
+        if least <= value <= most and value > lower:
+            return True
+        kind = QUANTITIES[quantity]
+        words = {
+            "x-minimum": "at least",
+            "x-exclusive-minimum": "more than",
+            "x-maximum": "at most",
+        }
+        parts = [
+            f"{word} {bound if isinstance(bound, str) else kind.format_value(bound)}"
+            for keyword, word in words.items()
+            if (bound := bounds.get(keyword)) is not None
+        ]
+        needed = f"be {' and '.join(parts)}"
+        if len(parts) == 1 and max(least, lower) == 0.0:
+            needed = "be positive" if lower == 0.0 else "not be negative"
+        shown = kind.format_value(value)
+        if kind.unit == "rad" and value:
+            shown += f" ({math.degrees(value):.6g} deg)"
+        self._reader.report.add(
+            schema.get("x-code", "out-of-range"),
+            f"`{key}` is {shown}; it must {needed}",
+            span,
+        )
+        return False
+
+    def _scalar(self, node: Node, schema: Schema) -> Any:
+        if schema.get("type") == "string":
+            return self._reader.of_type(str, node)
+        is_boolean = schema.get("type") in ("boolean", ["boolean", "string"])
+        return self._reader.of_type(bool, node) if is_boolean else self._reader.value(node)
 
     def _quantity(self, schema: Schema) -> str | None:
         kinds: str | list[str] | None = schema.get("x-quantity")
         if kinds is None and schema.get("type") == ["integer", "string"]:
             return "number"  # An expression gives the whole number.
         return kinds[self._alternative] if isinstance(kinds, list) else kinds
+
+
+def read_pose(node: Node, reader: ValueReader) -> Pose:
+    """Returns the pose of the keys `xyz` (m) and `rpy` (rad) of a mapping."""
+    return Section(node, inlined("module")["properties"]["mount"], reader).pose()
 
 
 def read_document(document: Node, kind: Kind, reader: ValueReader) -> Section:
@@ -196,43 +251,3 @@ def _as_node(content: Any, span: Span) -> Node:
     elif isinstance(content, list | tuple):
         content = tuple(_as_node(element, span) for element in content)
     return Node(content, span)
-
-
-def _is_within(
-    value: float,
-    bounds: Schema,
-    schema: Schema,
-    quantity: str,
-    span: Span,
-    key: str,
-    report: Report,
-) -> bool:
-    """Checks that a quantity in SI units is within its bounds, and reports it if it is not."""
-
-    def in_si(keyword: str, otherwise: float) -> float:
-        bound = bounds.get(keyword, otherwise)
-        return parse_quantity(bound, quantity) if isinstance(bound, str) else bound
-
-    least, lower = in_si("x-minimum", -math.inf), in_si("x-exclusive-minimum", -math.inf)
-    most = in_si("x-maximum", math.inf)
-    if least <= value <= most and value > lower:
-        return True
-    kind = QUANTITIES[quantity]
-    words = {"x-minimum": "at least", "x-exclusive-minimum": "more than", "x-maximum": "at most"}
-    parts = [
-        f"{word} {bound if isinstance(bound, str) else kind.format_value(bound)}"
-        for keyword, word in words.items()
-        if (bound := bounds.get(keyword)) is not None
-    ]
-    needed = f"be {' and '.join(parts)}"
-    if len(parts) == 1 and max(least, lower) == 0.0:
-        needed = "be positive" if lower == 0.0 else "not be negative"
-    shown = kind.format_value(value)
-    if kind.unit == "rad" and value:
-        shown += f" ({math.degrees(value):.6g} deg)"
-    report.add(
-        schema.get("x-code", "out-of-range"),
-        f"`{key}` is {shown}; it must {needed}",
-        span,
-    )
-    return False

@@ -19,7 +19,6 @@ from thorvaldc.compiler.source.node import Node, describe_node, whole_number_hin
 from thorvaldc.compiler.source.unit_table import QUANTITIES, Dimension
 from thorvaldc.compiler.source.units import UnitError, is_bare_number, parse_quantity
 from thorvaldc.diagnostics import Proposal, Report, plain
-from thorvaldc.model import Pose, Vec3
 
 # Least and greatest absolute value of every physical quantity in SI units, except 0.  Squares and
 # products of two quantities within the bounds do not overflow.
@@ -55,17 +54,17 @@ def items(node: Node | None) -> tuple[Node, ...]:
 
 
 class ValueReader(Mapping[str, Any]):
-    """Reads scalars, quantities, vectors and poses of a document.
+    """Reads scalars and quantities of a document.
 
     A ``ValueReader`` is a mapping of the names that expressions may use.  A plain ``ValueReader``
     contains no names.  The subclass ``Scope`` contains the parameters of a module.
+
+    ``on_robot``: ``True`` if the quantities describe a robot, not its surroundings.
     """
 
-    on_robot = False
-    """``True`` if the quantities describe a robot, not its surroundings."""
-
-    def __init__(self, report: Report) -> None:
+    def __init__(self, report: Report, *, on_robot: bool = False) -> None:
         self.report = report
+        self.on_robot = on_robot
         self._dimensions: dict[str, Any] = {}  # of expressions that were evaluated
 
     def dimension(self, name: str) -> Any:
@@ -274,61 +273,38 @@ class ValueReader(Mapping[str, Any]):
         """Returns the boolean value of a YAML node, or the default if the node is missing or
         invalid.
         """
-        if node is None:
-            return default
-        value = self.value(node)
-        if isinstance(value, bool):
-            return value
-        if value is not INVALID:
-            self._report_type("`true` or `false`", node)
-        return default
+        value: bool = INVALID if node is None else self.of_type(bool, node)
+        return default if value is INVALID else value
 
     def text(self, node: Node | None, default: str = "") -> str:
         """Returns the text of a YAML node, or the default if the node is missing or invalid."""
-        if node is None:
-            return default
+        value: str = INVALID if node is None else self.of_type(str, node)
+        return default if value is INVALID else value
+
+    def of_type(self, kind: type[bool] | type[str], node: Node) -> Any:
+        """Returns a boolean or a text, or ``INVALID`` if the YAML node has another value."""
         value = self.value(node)
-        if isinstance(value, str):
+        if value is INVALID or isinstance(value, kind):
             return value
-        if value is not INVALID:
-            self._report_type("text", node)
-        return default
+        self._report_type("text" if kind is str else "`true` or `false`", node)
+        return INVALID
 
-    def vector(
-        self,
-        node: Node | None,
-        quantity: str,
-        default: Vec3 = (0.0, 0.0, 0.0),
-        *allowed: Dimension,
-    ) -> Vec3:
-        """Returns three physical quantities in SI units.
+    def numbers(self, node: Node, quantity: str, count: int, *allowed: Dimension) -> Any:
+        """Returns the physical quantities in SI units that an expression gives, or ``INVALID``.
 
-        The YAML node contains a list of three quantities, or an expression with a list as the
-        result.  ``allowed``: further dimensions that an expression may have.
+        - ``count``: length of the list.
+        - ``allowed``: further dimensions that the expression may have.
         """
-        if node is None:
-            return default
-        if isinstance(node.value, str):
-            value = self.value(node, quantity)
-            if value is INVALID:
-                return default
-            if isinstance(value, tuple | list) and len(value) == 3 and all(map(_is_number, value)):
-                if not self.has_dimension(node, *allowed, quantity=quantity):
-                    return default
-                x, y, z = (self._bounded(v, node, 0.0) for v in value)
-                return (x, y, z)
-        elements = items(node)
-        if len(elements) != 3:
-            self.report.add("wrong-type", "expected three numbers: x, y and z", node.span)
-            return default
-        x, y, z = (self.quantity(element, quantity, 0.0, *allowed) for element in elements)
-        return (x, y, z)
-
-    def pose(self, node: Node) -> Pose:
-        """Returns the pose that the keys `xyz` (m) and `rpy` (rad) of a mapping describe."""
-        return Pose.from_xyz_rpy(
-            self.vector(node.get("xyz"), "length"), self.vector(node.get("rpy"), "angle")
-        )
+        value = self.value(node, quantity)
+        if value is INVALID:
+            return INVALID
+        if isinstance(value, tuple | list) and len(value) == count and all(map(_is_number, value)):
+            if not self.has_dimension(node, *allowed, quantity=quantity):
+                return INVALID
+            return tuple(self._bounded(number, node, 0.0) for number in value)
+        expected = "three numbers: x, y and z" if count == 3 else f"{count} numbers"
+        self.report.add("wrong-type", f"expected {expected}", node.span)
+        return INVALID
 
     def _report_type(self, expected: str, node: Node) -> None:
         hint = whole_number_hint(node) if expected == "a whole number" else None

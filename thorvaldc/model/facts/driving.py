@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import dataclass
 
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
-from thorvaldc.model.element import Element
 from thorvaldc.model.facts.stability import DIRECTIONS
 from thorvaldc.model.statics import mobility
 from thorvaldc.model.statics.slope import SlopeForces, SlopeStatics, steepest_angle, steepest_stops
@@ -17,7 +17,8 @@ from thorvaldc.model.stopping import driven_wheels
 FORWARDS, SIDEWAYS = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 
 
-class Turn(Element):
+@dataclass(frozen=True, slots=True)
+class Turn:
     """The tightest turn of a robot.
 
     - ``x``, ``y``: centre of rotation in ``base_link`` in m.
@@ -37,7 +38,8 @@ class Turn(Element):
     skids: bool
 
 
-class Driving(Element):
+@dataclass(frozen=True, slots=True)
+class Driving:
     """Top speeds of a robot within the limits of its base driver and of its motors.
 
     - ``forwards``, ``sideways``: top speeds in m/s; ``sideways`` is 0 for a robot whose wheels do
@@ -120,7 +122,8 @@ def _yaw_rate(robot: Robot, center: mobility.Center) -> float:
 # -- the steepest slopes that a robot climbs, and on which it stops -----------------------------
 
 
-class SlopeLimits(Element):
+@dataclass(frozen=True, slots=True)
+class SlopeLimits:
     """The steepest slopes in rad that a robot climbs straight up at a constant low speed.
 
     ``model.statics.slope`` states the formulas and the assumptions.
@@ -144,7 +147,8 @@ class SlopeLimits(Element):
     stops: si.Radians
 
 
-class Slopes(Element):
+@dataclass(frozen=True, slots=True)
+class Slopes:
     """The steepest slopes that a robot climbs and on which it stops, forwards and backwards.
 
     - ``friction``: smallest and largest coefficient of friction of the driven wheels.

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
+from dataclasses import dataclass
 
-from thorvaldc.model import Actuator, Battery, Bus, Channel, Node, Robot, Scalar
+from thorvaldc.model import Actuator, Bus, Channel, Node, Robot
 from thorvaldc.model import quantities as si
-from thorvaldc.model.element import Element
+from thorvaldc.model.robot import stated_number
 from thorvaldc.model.sums import float_sum
 
 
-class Address(Element):
+@dataclass(frozen=True, slots=True)
+class Address:
     """A node on a bus and its address.
 
     - ``bus``, ``name``, ``module``, ``protocol``: as in the model.
@@ -33,7 +34,8 @@ class Address(Element):
     label: str
 
 
-class BusFacts(Element):
+@dataclass(frozen=True, slots=True)
+class BusFacts:
     """A CAN bus.
 
     - ``bitrate``: bit rate in bit/s.
@@ -52,7 +54,8 @@ class BusFacts(Element):
     addresses: tuple[Address, ...]
 
 
-class Wire(Element):
+@dataclass(frozen=True, slots=True)
+class Wire:
     """A motor with its encoder, and the channel of the motor controller that it is wired to.
 
     - ``motor``, ``role``, ``joint``, ``gear_ratio``, ``encoder_ppr``, ``max_torque`` and
@@ -150,12 +153,12 @@ def _wire(
 
 # -- energy of the batteries and the range that it limits ---------------------------------------
 
-VOLTAGE, CAPACITY = "voltage", "capacity"
 POWER = "power"
 """Property of a sensor or node: electrical power in W that it draws while the robot is on."""
 
 
-class BatteryFacts(Element):
+@dataclass(frozen=True, slots=True)
+class BatteryFacts:
     """A battery enclosure.
 
     - ``present``: true if a battery is in the enclosure.
@@ -172,7 +175,8 @@ class BatteryFacts(Element):
     energy: si.Joules | None
 
 
-class Energy(Element):
+@dataclass(frozen=True, slots=True)
+class Energy:
     """Energy and range of a robot on level ground.
 
     - ``energy``: energy of all batteries in J, or ``None`` if a module does not state it or the
@@ -256,20 +260,9 @@ def energy_of(robot: Robot) -> Energy:
     )
 
 
-def battery_voltage(battery: Battery) -> float | None:
-    """Return the nominal voltage of a battery in V, or ``None`` if its module states none."""
-    return _number(battery.properties, VOLTAGE)
-
-
-def battery_capacity(battery: Battery) -> float | None:
-    """Return the capacity of a battery in A s, or ``None`` if its module states none."""
-    return _number(battery.properties, CAPACITY)
-
-
 def _batteries(robot: Robot) -> Iterator[BatteryFacts]:
     for battery in robot.batteries:
-        voltage = battery_voltage(battery)
-        capacity = battery_capacity(battery)
+        voltage, capacity = battery.voltage, battery.capacity
         present = battery.node is not None
         energy = voltage * capacity if voltage is not None and capacity is not None else None
         yield BatteryFacts(battery.name, battery.module, present, voltage, capacity, energy)
@@ -278,18 +271,11 @@ def _batteries(robot: Robot) -> Iterator[BatteryFacts]:
 def _stated_powers(robot: Robot) -> Iterator[tuple[str, float | None]]:
     batteries = {battery.node for battery in robot.batteries}
     for sensor in robot.sensors:
-        yield sensor.name, _number(sensor.properties, POWER)
+        yield sensor.name, stated_number(sensor.properties, POWER)
     for bus in robot.buses:
         for node in bus.nodes:
             if node.name not in batteries:
-                yield node.name, _number(node.properties, POWER)
-
-
-def _number(properties: Iterable[tuple[str, Scalar]], name: str) -> float | None:
-    value = dict(properties).get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        return None
-    return float(value)
+                yield node.name, stated_number(node.properties, POWER)
 
 
 def _listed(names: list[str]) -> str:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from thorvaldc.model import SourcedMass
-from thorvaldc.model.element import Element
 from thorvaldc.model.facts import electrics
 from thorvaldc.model.facts.driving import Driving, Slopes
 from thorvaldc.model.facts.masses import NO_SOURCE, BillRow, ModuleMass, PurchaseFacts, source_kind
@@ -19,7 +19,8 @@ from thorvaldc.model.statics.slope import StandingSlopes
 Row = tuple[str, ...]
 
 
-class FactTable(Element):
+@dataclass(frozen=True, slots=True)
+class FactTable:
     """A table of facts.
 
     - ``key``: short name of the table, for links.

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 from thorvaldc.model import Purchase, Robot, SourcedMass
 from thorvaldc.model import quantities as si
-from thorvaldc.model.element import Element, once_per_model
+from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.robot import NOT_STATED
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.sums import float_sum
@@ -14,7 +15,8 @@ from thorvaldc.model.sums import float_sum
 NO_SOURCE = "no source stated"
 
 
-class MassShare(Element):
+@dataclass(frozen=True, slots=True)
+class MassShare:
     """The part of the robot's mass whose numbers have a source of one kind.
 
     - ``source``: first word of the source, such as ``datasheet``, ``measured`` or ``estimated``;
@@ -28,7 +30,8 @@ class MassShare(Element):
     share: si.Number
 
 
-class ModuleMass(Element):
+@dataclass(frozen=True, slots=True)
+class ModuleMass:
     """The mass of a module.
 
     - ``module``: path of the module; empty for links that belong to no module.
@@ -44,7 +47,8 @@ class ModuleMass(Element):
     sources: tuple[SourcedMass, ...]
 
 
-class BillRow(Element):
+@dataclass(frozen=True, slots=True)
+class BillRow:
     """Modules of one type and mass.
 
     - ``type``: module type, or the path of an extra.
@@ -131,7 +135,8 @@ def bill_of(modules: Iterable[ModuleMass]) -> tuple[BillRow, ...]:
 # -- what the modules of a robot cost, and how long their delivery takes ------------------------
 
 
-class PurchaseItem(Element):
+@dataclass(frozen=True, slots=True)
+class PurchaseItem:
     """Modules of one type with the same price, supplier and lead time.
 
     - ``type``: module type, or the path of an extra (a URDF or xacro file).
@@ -154,7 +159,8 @@ class PurchaseItem(Element):
     modules: tuple[str, ...]
 
 
-class PurchaseFacts(Element):
+@dataclass(frozen=True, slots=True)
+class PurchaseFacts:
     """Price and lead time of a robot.
 
     - ``price``: sum of the prices in ``currency``, or ``None`` for the reason ``no_price``.

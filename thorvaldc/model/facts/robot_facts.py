@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Any
 
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
-from thorvaldc.model.element import Element, once_per_model
 from thorvaldc.model.facts import electrics, masses
 from thorvaldc.model.facts import stability as standing_facts
 from thorvaldc.model.facts.driving import Driving, Slopes, driving_of, slopes_of
 from thorvaldc.model.facts.size import Size, size_of
+from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.slope import StandingSlopes, standing_slopes
 
 
-class RobotFacts(Element):
+@dataclass(frozen=True, slots=True)
+class RobotFacts:
     """Facts about a robot, in SI units and angles in rad, with all joints at position 0.
 
     - ``mass``: mass of the robot in kg.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 from thorvaldc.model import (
     Box,
@@ -19,7 +20,6 @@ from thorvaldc.model import (
     Wheel,
 )
 from thorvaldc.model import quantities as si
-from thorvaldc.model.element import Element
 from thorvaldc.model.spatial import Quat, add, quat_to_matrix, rotate
 from thorvaldc.model.statics.joint_tree import JointTree, tree_of
 from thorvaldc.model.stl import mesh_vertices
@@ -29,7 +29,8 @@ _SMALLEST_DISTANCE = 1e-3
 """A wheelbase or track below this distance (m) is no distance between two axles."""
 
 
-class Size(Element):
+@dataclass(frozen=True, slots=True)
+class Size:
     """Extents of a robot with all joints at position 0, in m.
 
     - ``length``, ``width``, ``height``: extents along x, y and z of ``base_link``. The height is

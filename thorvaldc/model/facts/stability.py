@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
-from thorvaldc.model.element import Element, once_per_model
+from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.spatial import GRAVITY, clean
 from thorvaldc.model.statics.standing import standing_of
 from thorvaldc.model.statics.static_loads import maximize
@@ -15,7 +16,8 @@ from thorvaldc.model.statics.tip_over import Support, support_of
 from thorvaldc.model.sums import float_sum
 
 
-class SoilLoad(Element):
+@dataclass(frozen=True, slots=True)
+class SoilLoad:
     """The largest load and pressure of a wheel on level ground.
 
     The nominal ground pressure of a wheel is its load over the product of its radius and width. It
@@ -134,7 +136,8 @@ POLAR_STEPS = 72
 """Number of directions in ``Stability.polar``, 5 degrees apart."""
 
 
-class WheelLoad(Element):
+@dataclass(frozen=True, slots=True)
+class WheelLoad:
     """A wheel and its load on level ground.
 
     - ``name``, ``module``: name of the wheel, and path of its module.
@@ -160,7 +163,8 @@ class WheelLoad(Element):
     steered: bool
 
 
-class TipOver(Element):
+@dataclass(frozen=True, slots=True)
+class TipOver:
     """The angle in rad at which the robot tips over on ground that falls in a direction.
 
     ``direction`` is in rad from x (forward) to y (left) in ``base_link``.
@@ -170,7 +174,8 @@ class TipOver(Element):
     angle: si.Radians
 
 
-class Stability(Element):
+@dataclass(frozen=True, slots=True)
+class Stability:
     """Whether a robot stands, and the angles at which it tips over.
 
     ``model.statics.tip_over`` derives the angles and states the assumptions.

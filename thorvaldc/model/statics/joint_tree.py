@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from thorvaldc.model import Inertial, Joint, Link, Pose, Robot, Vec3, Wheel, spatial
-from thorvaldc.model.element import once_per_model
+from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.sums import float_sum
 
 

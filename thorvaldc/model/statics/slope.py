@@ -18,12 +18,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from thorvaldc.model import Actuator, Joint, Robot, Wheel, stopping
 from thorvaldc.model import quantities as si
-from thorvaldc.model.element import Element, once_per_model
+from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.model.statics.joint_tree import held_joints, tree_of
 from thorvaldc.model.statics.standing import standing_of
@@ -367,7 +367,8 @@ def _brakes_of(robot: Robot) -> list[_Brake]:
 # lengthens the way by some percent, is left out.
 
 
-class StandingSlopes(Element):
+@dataclass(frozen=True, slots=True)
+class StandingSlopes:
     """The steepest slopes in rad on which a robot stands without power, facing up or down.
 
     - ``motors_off``: with every brake held open, by the friction of motors, gears and tyres alone.

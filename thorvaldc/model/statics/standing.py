@@ -32,7 +32,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from thorvaldc.model import Joint, Pose, Robot, Vec3, Wheel, spatial
-from thorvaldc.model.element import once_per_model
+from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.statics import joint_tree as trees
 from thorvaldc.model.statics.static_loads import (
     least_squares_loads,

@@ -36,7 +36,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from thorvaldc.model import Joint, Pose, Robot, Vec3, Wheel, spatial
-from thorvaldc.model.element import once_per_model
+from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.statics import joint_tree, wheel_contact
 from thorvaldc.model.statics.mass_matrix import BranchSparse, inverse_weights
 from thorvaldc.model.statics.standing import standing_of

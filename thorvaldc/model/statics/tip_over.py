@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import Box, Cylinder, Link, MeshShape, Robot, Shape, Sphere, Vec3
-from thorvaldc.model.element import once_per_model
+from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.stl import mesh_vertices

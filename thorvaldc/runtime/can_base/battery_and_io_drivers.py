@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Battery, Bus, Node, Robot
 from thorvaldc.model.bus import MASTER
-from thorvaldc.model.facts.electrics import battery_capacity
 from thorvaldc.model.plugins import PluginTable
 from thorvaldc.model.settings import BatterySettings
 from thorvaldc.model.sums import float_sum
@@ -275,7 +274,7 @@ class BatterySupervision:
         """``source``: the batteries that supply the robot together, see ``Robot.common_source``."""
         self.settings = settings
         self.batteries = batteries
-        capacities = {battery.node: battery_capacity(battery) for battery in source}
+        capacities = {battery.node: battery.capacity for battery in source}
         supplying = [b for b in batteries if b.node.name in capacities]
         # The state of a supply with a battery that is on no bus is not known.
         self._supplying = supplying if len(supplying) == len(capacities) else []

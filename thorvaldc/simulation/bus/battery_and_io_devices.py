@@ -8,7 +8,6 @@ from typing import Any, NamedTuple, Self
 
 from thorvaldc.can.canopen import RPDO, TPDO, NmtState
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.model.facts.electrics import battery_capacity
 from thorvaldc.model.sums import float_sum
 from thorvaldc.simulation.bus.simulated_device import (
     NODE_ID,
@@ -71,7 +70,7 @@ class SimulatedBattery(SimulatedDevice):
             **specification.common(),
         )
         # In parallel, each has the share of the current that keeps their states of charge equal.
-        shared = [battery_capacity(battery) or 0.0 for battery in robot.common_source]
+        shared = [battery.capacity or 0.0 for battery in robot.common_source]
         if capacity and shared and all(shared):
             device.current *= float(capacity) * len(shared) / float_sum(shared)
         return device

@@ -17,6 +17,7 @@ from thorvaldc.compiler.pipeline import library_folders_of
 from thorvaldc.compiler.source.node import KeyPath, Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
+from thorvaldc.compiler.values.document_section import read_pose
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Pose
@@ -192,7 +193,7 @@ class ModuleView:
             return None
         leaf, name = leaf_and_name
         section = leaf.type.section("ports")[name] if leaf.type is not None else node
-        pose, link = leaf.scope.pose(section), leaf.scope.text(section.get("link"))
+        pose, link = read_pose(section, leaf.scope), leaf.scope.text(section.get("link"))
         place = Mount(leaf, link, pose, section.span).place
         first = next(iter(leaf.type.section("links")), "") if leaf.type is not None else ""
         return Port(

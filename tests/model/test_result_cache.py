@@ -1,4 +1,4 @@
-"""The base class of the model's classes, and the cache of results of a model."""
+"""The classes of the model, and the cache of results of a model."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ import pickle
 import weakref
 from pathlib import Path
 
-import pytest
-
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.model import Mesh, Pose, Robot
-from thorvaldc.model.element import Element, once_per_model
+from thorvaldc.model import Mesh, Robot
+from thorvaldc.model.result_cache import once_per_model
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "4wd4ws_wide" / "robot.yaml"
 
@@ -22,25 +20,6 @@ def _robot() -> Robot:
     model = compile_file(EXAMPLE).model
     assert isinstance(model, Robot)
     return model
-
-
-def test_an_element_is_a_frozen_dataclass() -> None:
-    pose = Pose((1.0, 2.0, 3.0))
-    assert repr(pose) == "Pose(xyz=(1.0, 2.0, 3.0), quat=(1.0, 0.0, 0.0, 0.0))"
-    assert [field.name for field in dataclasses.fields(Pose)] == ["xyz", "quat"]
-    assert dataclasses.fields(Pose)[1].default == pose.quat
-    assert dataclasses.replace(pose, xyz=(0.0, 0.0, 0.0)) == Pose() != pose
-    assert dataclasses.asdict(pose) == {"xyz": pose.xyz, "quat": pose.quat}
-    match pose:
-        case Pose(xyz, quat=quat):
-            assert (xyz, quat) == (pose.xyz, pose.quat)
-    with pytest.raises(dataclasses.FrozenInstanceError, match="xyz"):
-        pose.xyz = (0.0, 0.0, 0.0)  # type: ignore[misc]
-    with pytest.raises(dataclasses.FrozenInstanceError, match="xyz"):
-        del pose.xyz
-    with pytest.raises(TypeError, match="unexpected keyword argument 'rpy'"):
-        Pose(rpy=(0.0, 0.0, 0.0))  # type: ignore[call-arg]
-    assert not hasattr(pose, "__dict__")
 
 
 def test_a_field_that_is_not_compared_is_kept_in_copies() -> None:
@@ -52,18 +31,6 @@ def test_a_field_that_is_not_compared_is_kept_in_copies() -> None:
         b"data",
         b"data",
     ]
-
-
-def test_an_element_refuses_what_its_objects_would_lack() -> None:
-    with pytest.raises(TypeError, match="`default_factory`"):
-
-        class Listed(Element):
-            names: tuple[str, ...] = dataclasses.field(default_factory=tuple)
-
-    with pytest.raises(TypeError, match="base class"):
-
-        class Turned(Pose):  # type: ignore[misc]
-            angle: float
 
 
 def test_a_result_is_computed_once_for_a_model_and_its_arguments() -> None:
