@@ -30,6 +30,7 @@ from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.diagnostics.report import grouped
 from thorvaldc.model import Joint, JointServo, Link, Mesh, Pose, Vec3
+from thorvaldc.model.number_origins import read_at
 
 
 def add_extras(
@@ -275,7 +276,8 @@ def _vector(node: Node | None, quantity: str, report: Report) -> Vec3:
     """
     if node is None or not isinstance(node.value, tuple) or len(node.value) != 3:
         return (0.0, 0.0, 0.0)
-    x, y, z = (_quantity(item, quantity, report) or 0.0 for item in node.value)
+    numbers = (_quantity(item, quantity, report) for item in node.value)
+    x, y, z = (0.0 if number is None else number for number in numbers)
     return (x, y, z)
 
 
@@ -292,11 +294,11 @@ def _quantity(node: Node, quantity: str, report: Report) -> float | None:
     """Returns a quantity of the robot file in SI units; an error in it is reported."""
     if isinstance(node.value, str):
         try:
-            return parse_quantity(node.value, quantity)
+            return read_at(parse_quantity(node.value, quantity), node.span)
         except UnitError as error:
             report.add(error.code, error.message, node.span, hint=error.hint)
     elif isinstance(node.value, (int, float)):
-        return float(node.value)
+        return read_at(float(node.value), node.span)
     return None
 
 

@@ -161,7 +161,7 @@ class Section:
         is_valid = _is_within(number, schema, schema, quantity, node.span, key, self._reader.report)
         if not is_valid:
             return INVALID
-        return int(number) if "integer" in schema.get("type", ()) else number
+        return round(number) if "integer" in schema.get("type", ()) else number
 
     def _quantity(self, schema: Schema) -> str | None:
         kinds: str | list[str] | None = schema.get("x-quantity")

@@ -289,7 +289,7 @@ def _number(properties: Iterable[tuple[str, Scalar]], name: str) -> float | None
     value = dict(properties).get(name)
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return None
-    return float(value)
+    return value * 1.0
 
 
 def _listed(names: list[str]) -> str:
