@@ -36,3 +36,8 @@ def derived(value: Number, *inputs: object) -> Number:
     Inputs are numbers, and elements of the model and tuples with numbers.
     """
     return value if follower is None else follower.derive(value, inputs)
+
+
+def least(*values: float) -> float:
+    """Returns the least of some numbers, which follows from all of them."""
+    return derived(min(values), values)

@@ -100,7 +100,7 @@ def test_an_output_without_its_marks_is_the_output(name: str) -> None:
         ("lss", 10),
         *(
             pytest.param(name, 50, marks=pytest.mark.slow)
-            for name in ("4wd4ws_wide", "4wd2ws_tall", "jk_bms", "odrive")
+            for name in ("4wd4ws_wide", "4wd2ws_tall", "jk_bms", "rocker_bogie")
         ),
     ],
 )
