@@ -197,7 +197,6 @@ def test_json_of_others_is_read_in_one_place(package: Nodes) -> None:
         "diagnostics/files.py",
         "schema/__init__.py",
         "comparison/robot_difference.py",
-        "tools/provenance/value_paths.py",
     )
 
 
@@ -213,7 +212,6 @@ def test_files_are_written_in_one_place(package: Nodes) -> None:
         "compiler/output/writer.py",
         "simulation/physics/mujoco_scene.py",
         "tools/audit/audit_run.py",
-        "tools/provenance/influence_search.py",
         "tools/study/study_results.py",
     )
 

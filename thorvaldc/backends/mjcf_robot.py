@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from thorvaldc import model
 from thorvaldc.backends.description_parts import NEGLIGIBLE, Palette
 from thorvaldc.backends.xml_writer import Element
+from thorvaldc.model.number_origins import derived
 from thorvaldc.model.sensor_numbers import sensor_numbers
 from thorvaldc.model.spatial import clean, quat_from_z_to
 from thorvaldc.model.statics.joint_tree import tree_of
@@ -77,7 +78,7 @@ class ModelSections:
         self.asset = Element("asset")
         for material, color in self.palette.entries():
             self.asset.add("material", name=material, rgba=color)
-        self.meshes: dict[tuple[str, model.Vec3], str] = {}
+        self.meshes: dict[tuple[str, tuple[float, ...]], str] = {}
         self.taken: dict[str, str] = {}
         # Largest ratio d h / I of all servos (d: joint damping, h: time step, I: joint inertia),
         # see EXPLICIT_DAMPING.
@@ -133,7 +134,7 @@ class ModelSections:
 
         Equal mesh files with the same scale share one asset.
         """
-        key = (mesh.sha256, scale)
+        key = (mesh.sha256, tuple(map(float, scale)))
         name = self.meshes.get(key)
         if name is None:
             # Mesh files can have names that differ only in the extension. A mesh file can be used
@@ -148,7 +149,7 @@ class ModelSections:
             self.asset.add(
                 "mesh",
                 name=name,
-                file=f"{self.folders[number]}/{mesh.name}",
+                file=f"{self.folders[number]}/{derived(mesh.name, scale)}",
                 scale=None if scale == (1.0, 1.0, 1.0) else scale,
                 # MuJoCo does not use the inertia of mesh files, because the MJCF model contains all
                 # masses. MuJoCo's default value of the mesh attribute ``inertia`` fails for open
@@ -272,7 +273,7 @@ class RobotWriter:
             "joint",
             name=self.prefix + joint.name,
             type="slide" if joint.type == "prismatic" else "hinge",
-            axis=joint.axis,
+            axis=derived(joint.axis, joint.damping, joint.armature, joint.stiffness),
             range=limits,
             damping=joint.damping or None,
             frictionloss=friction or None,
@@ -526,6 +527,7 @@ def _solref(contact: WheelContact) -> tuple[float, float] | None:
 
 
 def _place(element: Element, pose: model.Pose) -> None:
+    element.attributes += derived("", pose)  # also of what is left out
     if pose.xyz != (0.0, 0.0, 0.0):
         element.set(pos=pose.xyz)
     if pose.quat != (1.0, 0.0, 0.0, 0.0):

@@ -329,7 +329,7 @@ def _value(value: Value, path: str) -> str:
         return _scalar(value, path)
     if not value:
         raise ParameterError(f"`{path}` is an empty list, which has no type")
-    if len({type(item) for item in value}) > 1:
+    if len({item.__class__ for item in value}) > 1:  # `type` tells the numbers of `why` apart
         raise ParameterError(f"`{path}` mixes types in a list")
     return f"[{', '.join(_scalar(item, path) for item in value)}]"
 

@@ -24,6 +24,7 @@ from thorvaldc.backends import ros2_parts, sdf_extra_sensors
 from thorvaldc.backends.ros2_controllers import CONTROLLER_FILE
 from thorvaldc.backends.xml_writer import Element, numbers
 from thorvaldc.model import joint_topics
+from thorvaldc.model.number_origins import derived
 from thorvaldc.model.sensor_numbers import ray_count, sensor_numbers
 from thorvaldc.model.spatial import clean, clean3, combine, quat_from_z_to
 from thorvaldc.model.statics.joint_tree import JointTree, tree_of
@@ -403,7 +404,7 @@ def add_geometry(parent: Element, shape: ir.Shape, meshes: str) -> None:
             geometry.add("cylinder").fill(radius=radius, length=length)
         case ir.MeshShape(mesh, scale):
             scaled = None if scale == (1.0, 1.0, 1.0) else scale
-            geometry.add("mesh").fill(uri=f"{meshes}/{mesh}", scale=scaled)
+            geometry.add("mesh").fill(uri=f"{meshes}/{derived(mesh, scale)}", scale=scaled)
         case _:
             geometry.add("sphere").fill(radius=shape.radius)
 

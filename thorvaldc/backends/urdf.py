@@ -9,6 +9,7 @@ from thorvaldc.backends import Backend, xml_writer
 from thorvaldc.backends.description_parts import NEGLIGIBLE, Palette, mesh_files
 from thorvaldc.backends.ros2_control import kept_extensions, ros2_control_elements
 from thorvaldc.model import Box, Cylinder, Inertial, Joint, Link, MeshShape, Pose, Robot, Shape
+from thorvaldc.model.number_origins import derived
 from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.spatial import clean
 
@@ -124,7 +125,7 @@ def _add_geometry(parent: xml_writer.Element, shape: Shape) -> None:
         case MeshShape(mesh, scale):
             geometry.add(
                 "mesh",
-                filename=f"{MESHES}/{mesh}",
+                filename=f"{MESHES}/{derived(mesh, scale)}",
                 scale=None if scale == (1.0, 1.0, 1.0) else scale,
             )
         case _:

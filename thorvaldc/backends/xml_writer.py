@@ -31,16 +31,13 @@ class XmlValueError(ValueError):
     """A number that an XML file cannot contain: infinity or NaN."""
 
 
-@functools.lru_cache(maxsize=1 << 14)
 def number(value: Number) -> str:
     """Return the shortest text that reads back as the same floating-point number, such as ``0.1``
     or ``1e-09``.
 
     Raises ``XmlValueError`` for infinite numbers and NaN.
     """
-    if value == 0:
-        return "0"
-    text = repr(value)
+    text = repr(value if value else abs(value))  # 0 in place of -0
     if text.endswith(".0"):
         return text[:-2]
     if text[-1] in "nf":  # nan, inf

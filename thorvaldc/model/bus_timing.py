@@ -51,6 +51,7 @@ from typing import NamedTuple
 
 from thorvaldc.model import Bus, FrameDefinition, Node, ObjectValue, Robot
 from thorvaldc.model.bus import MASTER
+from thorvaldc.model.number_origins import derived
 from thorvaldc.model.stopping import motor_nodes
 from thorvaldc.model.sums import float_sum
 
@@ -135,7 +136,8 @@ def response_times(streams: Sequence[Stream], bitrate: int) -> list[float | None
                 for lead, cycle_frames in _critical_instants(period, jitter, stream.stage, cycle)
             ]
             if None not in times:
-                bounds[i] = max(t for t in times if t is not None) / _SECOND
+                bound = max(t for t in times if t is not None) / _SECOND
+                bounds[i] = derived(bound, streams, bitrate)
         if stream.stage is not None:
             staged = (period, jitter, stream.stage)
             cycle[staged] = cycle.get(staged, 0) + length

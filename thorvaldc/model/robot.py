@@ -403,7 +403,7 @@ def stated_number(properties: Iterable[tuple[str, Scalar]], name: str) -> float 
     value = dict(properties).get(name)
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return None
-    return float(value)
+    return value * 1.0
 
 
 # -- the robot --------------------------------------------------------------------------

@@ -77,7 +77,7 @@ def sensor_numbers(sensor: Sensor) -> dict[str, float]:
     stated = {name: v for name, v in sensor.properties if not isinstance(v, str)}
     numbers = SENSOR_NUMBERS[sensor.type].items()
     return {
-        name: float(stated[name] if name in stated else schema["default"])
+        name: (stated[name] if name in stated else schema["default"]) * 1.0
         for name, schema in numbers
     }
 

@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 from thorvaldc.model import quantities as si
+from thorvaldc.model.number_origins import derived
 from thorvaldc.model.sums import float_sum
 
 GRAVITY = 9.81
@@ -33,8 +34,8 @@ def clean(value: float) -> float:
     digits makes the numbers of the model equal on every machine.
     """
     if -1e-12 < value < 1e-12:
-        return 0.0
-    return float(format(value, ".12g"))
+        return derived(0.0, value)
+    return derived(float(format(float(value), ".12g")), value)
 
 
 def clean3(v: Vec3) -> Vec3:
@@ -169,13 +170,13 @@ class Pose:
     @staticmethod
     def from_xyz_rpy(xyz: Vec3 = ZERO3, rpy: Vec3 = ZERO3) -> Pose:
         if rpy == ZERO3:
-            return Pose(xyz)
+            return Pose(xyz, derived(IDENTITY_QUAT, rpy))
         return Pose(xyz, quat_normalize(quat_from_rpy(*rpy)))
 
     def __mul__(self, other: Pose) -> Pose:
         xyz = add(self.xyz, rotate(self.quat, other.xyz))
         if other.quat == IDENTITY_QUAT:
-            return Pose(xyz, self.quat)
+            return Pose(xyz, derived(self.quat, other.quat))
         return Pose(xyz, quat_normalize(quat_multiply(self.quat, other.quat)))
 
     def inverse(self) -> Pose:
@@ -192,7 +193,7 @@ class Pose:
 
     def rpy(self) -> Vec3:
         if self.quat == IDENTITY_QUAT:
-            return ZERO3
+            return derived(ZERO3, self.quat)
         return matrix_to_rpy(quat_to_matrix(self.quat))
 
     def clean(self) -> Pose:
@@ -230,7 +231,8 @@ class Inertial:
         frame.
         """
         if pose.quat == IDENTITY_QUAT:
-            return Inertial(self.mass, pose.apply(self.com), self.inertia)
+            inertia = derived(self.inertia, pose.quat)
+            return Inertial(self.mass, pose.apply(self.com), inertia)
         r = quat_to_matrix(pose.quat)
         m = self.matrix()
         rm = [[float_sum(r[i][k] * m[k][j] for k in range(3)) for j in range(3)] for i in range(3)]

@@ -26,7 +26,8 @@ BUDGET_HEAD = (
 RIGHT = (0, *range(3, len(BUDGET_HEAD)))  # columns of numbers
 JOINT_UNITS = ("rad", "rad/s")
 Motors = dict[str, tuple[Actuator, Joint]]
-_ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
+# `default` is for the numbers of `why`, which write a mark before their digits.
+_ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False, default=str)
 
 
 def canmap_text(robot: Robot) -> str:

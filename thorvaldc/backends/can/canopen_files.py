@@ -24,6 +24,7 @@ from operator import itemgetter
 
 from thorvaldc.model import Bus, Node, ObjectValue
 from thorvaldc.model.bus import FIRST_INDEX, MASTER, OBJECT_TYPES, STRIDE, motor_numbers
+from thorvaldc.model.number_origins import derived
 
 BAUDRATES = (10, 20, 50, 125, 250, 500, 800, 1000)  # kbit/s, the list of CiA 306
 MANDATORY = (0x1000, 0x1001, 0x1018)
@@ -96,7 +97,7 @@ def _device_info(bus: Bus, node: Node, indices: Sequence[int]) -> Iterator[tuple
     yield "OrderCode", ""
     supported = [rate // 1000 for rate in node.bitrates or (bus.bitrate,)]
     for rate in BAUDRATES:
-        yield f"BaudRate_{rate}", "1" if rate in supported else "0"
+        yield f"BaudRate_{rate}", str(derived(int(rate in supported), supported))
     yield "SimpleBootUpMaster", "0"
     yield "SimpleBootUpSlave", "1"
     yield "Granularity", "8"
@@ -120,8 +121,8 @@ def _commissioning(bus: Bus, node: Node) -> Iterator[tuple[str, str]]:
 
 
 def _listed(indices: Sequence[int]) -> list[tuple[str, str]]:
-    rows = [(str(i), _hexadecimal(index)) for i, index in enumerate(indices, 1)]
-    return [("SupportedObjects", str(len(indices))), *rows]
+    rows = [(str(derived(i, indices)), _hexadecimal(index)) for i, index in enumerate(indices, 1)]
+    return [("SupportedObjects", str(derived(len(indices), indices))), *rows]
 
 
 def _object(
@@ -136,9 +137,12 @@ def _object(
     yield (
         section,
         [
-            ("ParameterName", entries[1 if counted else 0].name),
+            ("ParameterName", derived(entries[1 if counted else 0].name, index)),
             ("ObjectType", f"0x{ARRAY if index in ARRAYS else RECORD:X}"),
-            ("SubNumber", str(len(entries) + (not counted))),
+            (
+                "SubNumber",
+                str(derived(len(entries) + (not counted), *(e.subindex for e in entries))),
+            ),
         ],
     )
     if not counted:
@@ -163,7 +167,7 @@ def _variable(entry: ObjectValue, in_pdo: dict[tuple[int, int], bool]) -> list[t
         # required value as the default value. All writable object dictionary entries are written to
         # the node with their required values.
         rows.append(("DefaultValue" if entry.access == "ro" else "ParameterValue", number))
-    return rows
+    return [(key, derived(text, entry.index, entry.subindex)) for key, text in rows]
 
 
 def _hexadecimal(number: int) -> str:

@@ -229,7 +229,7 @@ def _limits(signal: Signal) -> tuple[float, float]:
 
 
 def _number(value: float) -> float | int:
-    return int(value) if value.is_integer() else value
+    return round(value) if value.is_integer() else value
 
 
 def _plain(text: str) -> str:

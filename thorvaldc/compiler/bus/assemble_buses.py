@@ -405,7 +405,7 @@ def foreign_devices(
     devices = []
     for name, device in entries(section).items():
         id_node = device.get("id")
-        node_id = id_node.value if id_node is not None and type(id_node.value) is int else None
+        node_id = sections.whole_number(id_node)
         services = device.get("canopen")
         if services is not None and services.value and node_id is None:
             report.add(
@@ -445,17 +445,17 @@ def _relayed(name: str, device: source.Node, scope: Scope) -> Iterator[FrameDefi
     device_schema = inlined("robot")["properties"]["foreign_devices"]["additionalProperties"]
     schema = device_schema["properties"]["frames"]["additionalProperties"]
     for key, node in entries(device.get("frames")).items():
-        cob_id, length = node.get("cob_id"), node.get("length")
-        if cob_id is None or type(cob_id.value) is not int:
+        cob_id, length = map(sections.whole_number, map(node.get, ("cob_id", "length")))
+        if cob_id is None:
             continue  # the schema check reports a missing or invalid COB-ID
         to_device = scope.text(node.get("direction")) == "command"
         yield FrameDefinition(
             f"{name}_{key}",
-            cob_id.value,
+            cob_id,
             "relay",
             MASTER if to_device else name,
             (name,) if to_device else (MASTER,),
-            length.value if length is not None and type(length.value) is int else 8,
+            8 if length is None else length,
             None,
             None,
             (),

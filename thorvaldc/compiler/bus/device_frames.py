@@ -431,7 +431,7 @@ def _cob_id(device: Device, key: str, frame: Node, report: Report) -> int | None
     node = frame.get("cob_id") or frame
     value = device.scope.quantity(node, "ratio", math.nan)
     if 0 <= value <= 0x7FF and value.is_integer():
-        return int(value)
+        return round(value)
     if not math.isnan(value):  # NaN means that an invalid COB-ID is already reported
         report.add(
             "can-cob-id-range",

@@ -17,6 +17,7 @@ from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import Actuator, FrameDefinition, Node, ObjectValue
 from thorvaldc.model.bus import MASTER, OBJECT_TYPES
+from thorvaldc.model.number_origins import read_at
 
 MASTER_ID = 127
 MASTER_HEARTBEAT_PERIOD = 0.1  # s
@@ -97,6 +98,13 @@ class BusSpec(NamedTuple):
     stated: bool = True
 
 
+def whole_number(node: source.Node | None) -> int | None:
+    """Returns the value of a YAML node that is a whole number, not an expression, or ``None``."""
+    if node is None or type(node.value) is not int:
+        return None
+    return read_at(node.value, node.span)
+
+
 def integer(scope: Scope, node: source.Node | None, default: int) -> int:
     """Returns a YAML value as a whole number.
 
@@ -104,13 +112,14 @@ def integer(scope: Scope, node: source.Node | None, default: int) -> int:
     """
     if node is None:
         return default
-    if type(node.value) is int:
-        return node.value
+    number = whole_number(node)
+    if number is not None:
+        return number
     value = scope.quantity(node, "ratio", float(default))
     if not value.is_integer():
         scope.report.add("wrong-type", f"expected a whole number, found `{value:g}`", node.span)
         return default
-    return int(value)
+    return round(value)
 
 
 def listed(known: Iterable[str]) -> str:

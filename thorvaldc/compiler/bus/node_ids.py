@@ -149,11 +149,12 @@ def _request(
     here = address.span
     if not isinstance(address.value, dict):
         node_id = device.scope.evaluate(address)
-        return _Request(default, node_id if type(node_id) is int else None, None, here, here)
+        is_id = isinstance(node_id, int) and not isinstance(node_id, bool)
+        return _Request(default, node_id if is_id else None, None, here, here)
     id_node, serial = address.get("id"), address.get("serial")
     return _Request(
         bus_name(address.get("bus"), specs, report),
-        id_node.value if id_node is not None and type(id_node.value) is int else None,
+        sections.whole_number(id_node),
         str(serial.value) if serial is not None else None,
         id_node.span if id_node is not None else here,
         serial.span if serial is not None else here,
@@ -398,8 +399,9 @@ def read_lock(document: source.Node, report: Report) -> Lock:
     for bus, spaces in entries(document.get(ADDRESSES)):
         for id_space, modules in entries(spaces):
             for module, node in entries(modules):
-                if type(node.value) is int:
-                    lock[bus, id_space, module] = Pin(node.value, node.where)
+                node_id = sections.whole_number(node)
+                if node_id is not None:
+                    lock[bus, id_space, module] = Pin(node_id, node.where)
                 else:
                     report_error(f"the id of `{module}` must be a whole number", node)
     return lock

@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Actuator, Collision, Cylinder, Joint, Link, Pose, Vec3, Wheel
+from thorvaldc.model.number_origins import least
 from thorvaldc.model.spatial import add, clean, cross, dot, norm, scale
 from thorvaldc.model.statics.joint_tree import JointTree
 
@@ -96,7 +97,7 @@ def ground_height(tree: JointTree, wheels: Sequence[Wheel], report: Report) -> f
         if joints is not None:
             point = lowest_point(tree.pose[wheel.link].xyz, joints.axis, wheel.radius)
             heights.append(point[2])
-    return -min(heights) if heights else 0.0
+    return -least(*heights) if heights else 0.0
 
 
 def raise_axles(

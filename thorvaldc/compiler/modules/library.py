@@ -98,6 +98,12 @@ _module_cache: dict[tuple[str, str], _CachedFile[ModuleType | None]] = {}
 _palette_cache: dict[tuple[str, str], _CachedFile[dict[str, str]]] = {}
 
 
+def forget_modules() -> None:
+    """Empties the caches: the next compilation reads all files of the library again."""
+    _module_cache.clear()
+    _palette_cache.clear()
+
+
 def _read_cached(
     cache: dict[tuple[str, str], _CachedFile[Content]],
     path: Path,

@@ -18,6 +18,7 @@ from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.compiler.values import value_reader as values
 from thorvaldc.diagnostics import Label, Proposal, Report, did_you_mean, plain
+from thorvaldc.model.number_origins import read_at
 from thorvaldc.schema.old_words import old_parameter
 
 NONE = "none"
@@ -371,7 +372,7 @@ class Scope(values.ValueReader):
             expected = "a list"
         elif kind == "integer":
             if isinstance(value, float) and value.is_integer():
-                value = int(value)
+                value = round(value)
             if isinstance(value, int) and not isinstance(value, bool):
                 return value if self.has_dimension(node, quantity="number") else values.INVALID
             expected = "a whole number"
@@ -489,7 +490,7 @@ def _in_si(value: Any, node: Node) -> Any:
     """Returns a value of a node; a text with a unit becomes its SI value."""
     if isinstance(value, str) and not node.quoted:
         with contextlib.suppress(UnitError):
-            return parse_any(value)
+            return read_at(parse_any(value), node.span)
     return value
 
 

@@ -28,6 +28,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import Label, Proposal, Report, did_you_mean
 from thorvaldc.model import Actuator, DriverSettings, ParameterSet, TwistInput, Wheel
+from thorvaldc.model.number_origins import least
 from thorvaldc.model.settings import (
     RAMP_FIRST,
     SAFETY_STOP,
@@ -215,10 +216,10 @@ class DriverSettingsReader(NamedTuple):
             wheel_speed = actuator.max_velocity * radius
             wheel_acceleration = actuator.max_acceleration * radius
             lever = max(math.hypot(*wheel.contact_point), MIN_LEVER)
-            speed = min(speed, wheel_speed)
-            turning_rate = min(turning_rate, wheel_speed / lever)
-            acceleration = min(acceleration, wheel_acceleration)
-            turning_acceleration = min(turning_acceleration, wheel_acceleration / lever)
+            speed = least(speed, wheel_speed)
+            turning_rate = least(turning_rate, wheel_speed / lever)
+            acceleration = least(acceleration, wheel_acceleration)
+            turning_acceleration = least(turning_acceleration, wheel_acceleration / lever)
         limits = (speed, turning_rate, acceleration, turning_acceleration)
         return dict(zip(LIMITS, limits, strict=True))
 

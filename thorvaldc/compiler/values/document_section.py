@@ -164,7 +164,7 @@ class Section:
             return INVALID
         if not self._is_within(number, schema, key, node.span):
             return INVALID
-        return int(number) if "integer" in schema.get("type", ()) else number
+        return round(number) if "integer" in schema.get("type", ()) else number
 
     def _is_within(
         self, value: float, schema: Schema, key: str, span: Span, bounds: Schema | None = None

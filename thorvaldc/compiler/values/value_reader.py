@@ -19,6 +19,7 @@ from thorvaldc.compiler.source.node import Node, describe_node, whole_number_hin
 from thorvaldc.compiler.source.unit_table import QUANTITIES, Dimension
 from thorvaldc.compiler.source.units import UnitError, is_bare_number, parse_quantity
 from thorvaldc.diagnostics import Proposal, Report, plain
+from thorvaldc.model.number_origins import read_at
 
 # Least and greatest absolute value of every physical quantity in SI units, except 0.  Squares and
 # products of two quantities within the bounds do not overflow.
@@ -98,13 +99,13 @@ class ValueReader(Mapping[str, Any]):
         if value is None:
             return INVALID  # The schema check has already reported the invalid value.
         if not (isinstance(value, str) and value.startswith("${") and value.endswith("}")):
-            return value
+            return read_at(value, node.span)
         text = value[2:-1]
         try:
             result = evaluate(text, self)
             if text not in self._dimensions:
                 self._dimensions[text] = dimensions.infer_dimension(text, self)
-            return result
+            return read_at(result, node.span)
         except dimensions.DimensionError as error:
             expected = dimensions.EXPECTED[quantity] if quantity is not None else None
             self._report_dimension(
@@ -260,7 +261,7 @@ class ValueReader(Mapping[str, Any]):
         large for a robot.
         """
         if value == 0.0 or SMALLEST <= abs(value) <= LARGEST:
-            return float(value)
+            return read_at(value * 1.0, node.span)
         self.report.add(
             "number-out-of-range",
             f"{describe_value(node, value)} is too {'small' if abs(value) < 1 else 'large'} "

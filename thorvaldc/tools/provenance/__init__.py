@@ -1,8 +1,7 @@
 """Explains where a number of a robot comes from, and where it goes.
 
-Nothing in the compiler records where numbers come from.  Instead, the robot is compiled again with
-values of its documents changed a little: a value whose change reaches the number is a source of the
-number.  The method is exact for any expression, and costs nothing if nobody asks.
+The robot is compiled and emitted with numbers that know their origins (``traced_number``).  A build
+has plain numbers, so it costs nothing if nobody asks.  Begin with ``trace``.
 """
 
 from thorvaldc.tool_folders import CommandEntry
