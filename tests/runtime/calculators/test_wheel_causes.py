@@ -134,6 +134,36 @@ def test_a_gyro_that_contradicts_all_wheels_names_a_robot_that_slides() -> None:
     assert abs(estimate.twist.vx) <= 2.0 * sigmas(estimate.covariance)[0]
 
 
+SKID = [
+    wheel(f"w{i}", x, y, "fixed")
+    for i, (x, y) in enumerate([(0.4, 0.3), (0.4, -0.3), (-0.4, 0.3), (-0.4, -0.3)])
+]
+
+
+@pytest.mark.parametrize(
+    ("motion", "yaw_rate"),
+    [(Twist(0.5, 0.0, 0.4), 0.0), (Twist(0.5, 0.0, 0.0), 0.2), (Twist(0.0, 0.0, 0.0), 0.2)],
+)
+def test_a_gyro_that_contradicts_skidding_wheels(motion: Twist, yaw_rate: float) -> None:
+    """A robot that is held in a turn, one that is turned, and one that is turned at rest."""
+    speeds = General(BaseGeometry.from_wheels(SKID)).command(motion).joints.speeds
+    readings = JointStates(0.0, speeds, [0.0] * 4, [0.0] * 4, None, yaw_rate)
+    estimate = estimator(SKID).estimate(readings, speeds)
+    assert (estimate.dropped, estimate.sliding) == ((), (0, 1, 2, 3))
+    assert estimate.twist.wz == pytest.approx(yaw_rate, abs=0.01)
+    assert abs(estimate.twist.vx) <= 2.0 * sigmas(estimate.covariance)[0]
+
+
+@pytest.mark.parametrize("share", [0.8, 1.0, 1.2])
+def test_a_skidding_robot_may_turn_a_little_otherwise_than_its_wheels(share: float) -> None:
+    motion = Twist(0.5, 0.0, 0.4)
+    speeds = General(BaseGeometry.from_wheels(SKID)).command(motion).joints.speeds
+    readings = JointStates(0.0, speeds, [0.0] * 4, [0.0] * 4, None, share * motion.wz)
+    estimate = estimator(SKID).estimate(readings, speeds)
+    assert (estimate.dropped, estimate.suspects, estimate.sliding) == ((), (), ())
+    assert estimate.twist.vx == pytest.approx(0.5, abs=0.01)
+
+
 def test_wheels_that_a_push_turns_outvote_one_that_stands() -> None:
     """They contradict their commands and agree, as stuck encoders would by accident only."""
     states = joints(FOUR, Twist(0.6, 0.0, 0.0))
@@ -217,11 +247,7 @@ def test_of_three_wheels_on_an_axle_none_is_dropped() -> None:
 
 def test_skidding_wheels_are_not_dropped() -> None:
     """In a turn of a skid-steered robot no wheel agrees with the others, and none is faulty."""
-    wheels = [
-        wheel(f"w{i}", x, y, "fixed")
-        for i, (x, y) in enumerate([(0.4, 0.3), (0.4, -0.3), (-0.4, 0.3), (-0.4, -0.3)])
-    ]
-    estimate = estimator(wheels).estimate(
+    estimate = estimator(SKID).estimate(
         JointStates(0.0, [2.0, 5.0, 2.0, 5.0], [0.0] * 4, [0.0] * 4)
     )
     assert estimate.dropped == ()

@@ -36,7 +36,8 @@ N are the wheels that contradict their commands: |z - c| exceeds the error e(c) 
 A motor that turns as commanded says nothing about the ground.  If three wheels of four turn as
 commanded and one stands, its encoder is dead (3), or the robot stands and three wheels spin (4).
 Neither the vote of the three wheels nor their commands decide.  A gyro decides if the hypotheses
-differ in the yaw rate.  Wheels that contradict their commands and agree with each other decide too:
+differ in the yaw rate; it contradicts wheels that skid only if a skid does not explain the
+difference.  Wheels that contradict their commands and agree with each other decide too:
 a push turns all of them at once, but several stuck encoders agree by accident only.  Without
 commands, N are the wheels that stand while others turn.
 
