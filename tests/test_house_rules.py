@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "thorvaldc"
 FILES = sorted(PACKAGE.rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
-# Lines.  A file of more than 500 is questioned, and split where two ideas are; no number tells that.
+# Lines.  A file over 500 is questioned, and split where two ideas are; no number tells that.
 LONGEST_FILE, LONGEST_FUNCTION = 1000, 100
 
 # Names of acts, and pronouns: they do not say which thing a variable holds.
