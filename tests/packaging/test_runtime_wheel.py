@@ -221,12 +221,16 @@ def test_commission_drives_one_motor_at_a_terminal(runtime: Path, build: Path) -
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["check", "build", "sim", "view", "render", "import"])
+@pytest.mark.parametrize(
+    ("command", "status"),
+    [("check", 3), ("build", 3), ("sim", 3), ("view", 2), ("render", 2), ("import", 2)],
+)
 def test_commands_of_the_compiler_name_the_package_to_install(
-    runtime: Path, build: Path, command: str
+    runtime: Path, build: Path, command: str, status: int
 ) -> None:
+    """The names of tools that the runtime does not have are not known there."""
     refused = call(runtime, build, command, "good.yaml")
-    assert refused.returncode == 3, refused.stderr
+    assert refused.returncode == status, refused.stderr
     assert "pip uninstall thorvaldc-runtime" in refused.stderr
     assert "Traceback" not in refused.stderr
 

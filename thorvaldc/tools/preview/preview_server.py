@@ -230,7 +230,6 @@ class PreviewServer:
                 rust_timeout=CHECK_PERIOD,
                 yield_on_timeout=True,
                 recursive=False,
-                raise_interrupt=False,
             )
             async with contextlib.aclosing(changes):
                 async for _ in changes:
