@@ -135,9 +135,7 @@ def program(words: Sequence[str]) -> typer.Typer:
             groups[entry.name] = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
             app.add_typer(groups[entry.name], name=entry.name, help=entry.help)
         elif function := _load(entry):
-            declare = groups[entry.group].command(
-                entry.word, help=entry.help or None, hidden=entry.hidden
-            )
+            declare = groups[entry.group].command(entry.word, help=entry.help or None)
             declare(ending_with_status(function))
     return app
 
@@ -148,7 +146,8 @@ def _named_by(words: Sequence[str]) -> list[CommandEntry]:
         return core
     entries = all_commands()
     named = [entry for entry in entries if entry.name.split()[0] in words[:1]]
-    return named or [*entries, *plugin_commands()]
+    # typer 0.26 shows hidden commands in its plain help.
+    return named or [*(entry for entry in entries if not entry.hidden), *plugin_commands()]
 
 
 def _load(entry: CommandEntry) -> Callable[..., int] | None:
