@@ -21,7 +21,7 @@ import mujoco
 
 from thorvaldc.model import Robot
 from thorvaldc.model.spatial import GRAVITY
-from thorvaldc.simulation.physics.drive_servos import IMPEDANCE
+from thorvaldc.simulation.physics.drive_servos import set_hard_friction
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.physics.sim_base import WheelErrors
@@ -248,12 +248,10 @@ class World:
         model = self._model
         for i in change.stalled:
             dof = int(model.jnt_dofadr[self._spin[i]])
-            model.dof_frictionloss[dof] += change.resistance
-            model.dof_solimp[dof, :2] = IMPEDANCE
+            set_hard_friction(model, dof, model.dof_frictionloss[dof] + change.resistance)
         if change.hold:
             for k, arm in ((0, 1.0), (1, 1.0), (5, change.arm)):
-                model.dof_frictionloss[self._first_dof + k] = change.hold * arm
-                model.dof_solimp[self._first_dof + k, :2] = IMPEDANCE
+                set_hard_friction(model, self._first_dof + k, change.hold * arm)
         if change.wall:
             self._put_wall(direction)
 

@@ -39,6 +39,17 @@ def test_help_names_every_command(thorvaldc: Command) -> None:
     assert thorvaldc("-h") == output
 
 
+def test_the_version_is_shown_without_the_import_of_a_command() -> None:
+    script = (
+        "import sys; sys.argv = ['thorvaldc', '--version']\n"
+        "from thorvaldc.cli.main import run_command; run_command()\n"
+        "print(*[m for m in sys.modules if m.startswith(('thorvaldc.tools', 'thorvaldc.model'))])"
+    )
+    command = [sys.executable, "-c", script]
+    out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert out.splitlines()[1:] == [""]
+
+
 def test_version(thorvaldc: Command) -> None:
     assert re.fullmatch(r"thorvaldc \d+\.\d+\.\d+( \(compiled\))?\n", thorvaldc("--version").out)
 

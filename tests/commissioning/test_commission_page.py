@@ -21,14 +21,14 @@ ROBOT = make_robot(FOUR_STEERED)
 MOTOR = ROBOT.actuators[0].name
 
 
-def report(*findings: Finding) -> CommissionReport:
+def report(*findings: Finding, idle: str = "idle") -> CommissionReport:
     figures = (Figure("travel", 1.5, "rad", 0.9, 1.1), Figure("stop", 0.2, "s", 0.0, 0.4))
     motor = CheckedMotor(MOTOR, "node", "1", "key", FAILED, figures=figures, not_tested=("brake",))
     calibration = CalibrationResult(
         (CalibratedWheel("w0", 0.01, 0.001, None, None),), (LastingError("heading", 0.02),)
     )
     node = FoundNode("node", "ok", 3, 1, 2, 3)
-    nodes, motors = (node,), (motor, CheckedMotor("idle", None, None, "key"))
+    nodes, motors = (node,), (motor, CheckedMotor(idle, None, None, "key"))
     head = (ROBOT.name, "0123", "0.1.0", "2030-01-01", "A & B", "Ctrl-C")
     return CommissionReport(*head, nodes, findings, motors, calibration)
 
@@ -45,6 +45,15 @@ def test_the_page_is_accessible_and_has_the_results() -> None:
     assert [a.get("class") for a in page.all("td")].count("fault") == 1
     assert "Errors that remain, in SI units: heading 0.02." in texts
     assert [a.get("fill") for a in page.all("rect")].count("#b00020") == 1
+
+
+def test_the_names_of_a_report_are_texts() -> None:
+    """A report is a file that others may have written."""
+    name = '<b>"\' onfocus="alert(1)'
+    page = accessible_page(page_of(ROBOT, report(idle=name)))
+    assert ("h2", f"Motor {name}: not tested") in page.texts
+    assert all("onfocus" not in attributes for attributes in page.all("section"))
+    assert all("onfocus" not in attributes for attributes in page.all("table"))
 
 
 def test_a_report_without_findings_says_nothing_of_changes() -> None:

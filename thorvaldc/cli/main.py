@@ -141,6 +141,8 @@ def program(words: Sequence[str]) -> typer.Typer:
 
 
 def _named_by(words: Sequence[str]) -> list[CommandEntry]:
+    if words == ["--version"]:
+        return []
     core = [entry for entry in CORE if entry.name in words[:1] and entry.target]
     if core:
         return core

@@ -43,7 +43,8 @@ def page_of(robot: Robot, report: CommissionReport) -> str:
         columns = ("finding", "change")
         sections.append(table_html(FactTable("changes", "What to change", columns, changes)))
     sections.append(_picture(robot, report))
-    sections += [table_html(_motor(motor), (_NOT_IN_BOUNDS,)) for motor in report.motors]
+    for number, motor in enumerate(report.motors):
+        sections.append(table_html(_motor(number, motor), (_NOT_IN_BOUNDS,)))
     devices = tuple((node.name, _identity(node)) for node in report.nodes)
     sections.append(table_html(FactTable("devices", "Devices", (), devices)))
     if report.calibration is not None:
@@ -53,7 +54,7 @@ def page_of(robot: Robot, report: CommissionReport) -> str:
     return page(title, title, about, "".join(sections), _STYLE)
 
 
-def _motor(motor: CheckedMotor) -> FactTable:
+def _motor(number: int, motor: CheckedMotor) -> FactTable:
     rows = [
         (f.name, f.value_text, f.bounds_text, "ok" if f.passed else _NOT_IN_BOUNDS)
         for f in motor.figures
@@ -61,7 +62,7 @@ def _motor(motor: CheckedMotor) -> FactTable:
     rows += [(name, "not tested", "", "") for name in motor.not_tested]
     columns = ("check", "value", "bounds", "verdict")
     title = f"Motor {motor.name}: {motor.state}"
-    return FactTable(f"motor-{motor.name}", title, columns, tuple(rows), (1, 2))
+    return FactTable(f"motor-{number}", title, columns, tuple(rows), (1, 2))
 
 
 def _identity(node: FoundNode) -> str:

@@ -194,7 +194,7 @@ def test_ctrl_c_keeps_the_finished_runs(scenario: Path) -> None:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
     assert process.returncode == 130
-    assert stderr.splitlines()[-1] == "interrupted"
+    assert stderr.splitlines()[-1] == "interrupted", stderr
     assert "Traceback" not in stderr
     result = rows(out)
     assert 3 <= len(result) < 800

@@ -54,14 +54,6 @@ from thorvaldc.runtime.se2 import Cov3, Row3, Twist
 
 __all__ = ["EstimatorOptions", "Noise", "TwistEstimate", "TwistEstimator"]
 
-_SKID_TURN: Final = 0.25
-"""Largest deviation of the yaw rate from that of skidding wheels on good ground, relative to it.
-
-In MuJoCo, 99.9 % of the yaw rates of robots with four and six skidding wheels are 0.92 to 1.15 of
-that of the wheels.
-"""
-_SKID_TURN_FLOOR: Final = 0.03
-"""The same deviation (rad/s) for wheels that do not turn the robot."""
 _UNBOUNDED: Final = "the joint states are out of all bounds"
 RANK_TOLERANCE: Final = 1e-8
 """The normal matrix has rank 3 if its scaled determinant is at least this large.
@@ -265,8 +257,12 @@ class TwistEstimator:
 
         ``fit``: fitted twist with the gyro.
         """
-        wheels = fit_twist(measurements, fit.vx, fit.vy, fit.wz, self.squares, self.prior, None)
-        return abs(yaw_rate - wheels.wz) > _SKID_TURN * abs(wheels.wz) + _SKID_TURN_FLOOR
+        alone = fit_twist(measurements, fit.vx, fit.vy, fit.wz, self.squares, self.prior, None)
+        length = math.sqrt(self.length2)
+        contradiction = wheel_causes.gyro_contradiction(
+            yaw_rate, alone.wz, length, self.squares[5], skids=True
+        )
+        return contradiction > 0.0
 
     def may_deviate(self, speeds: Sequence[float], commanded: Sequence[float] | None) -> bool:
         """Returns whether a wheel may deviate from its command (rad/s).

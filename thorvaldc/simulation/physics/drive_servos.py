@@ -224,6 +224,12 @@ IMPEDANCE: Final = 0.9999
 """Impedance of the friction of a joint without power (``solimp`` of MuJoCo)."""
 
 
+def set_hard_friction(model: Any, dof: int, friction: float) -> None:
+    """Sets the Coulomb friction (N or N m) of a degree of freedom, which then does not creep."""
+    model.dof_frictionloss[dof] = friction
+    model.dof_solimp[dof, :2] = IMPEDANCE
+
+
 class _Motor(NamedTuple):
     """The MuJoCo indices and values of a motor.
 
@@ -299,8 +305,7 @@ class MotorsWithoutPower:
             return
         self._off.add(key)
         model.actuator_forcerange[motor.actuator] = 0.0
-        model.dof_frictionloss[motor.dof] = motor.friction + motor.back_driving_torque
-        model.dof_solimp[motor.dof, :2] = IMPEDANCE
+        set_hard_friction(model, motor.dof, motor.friction + motor.back_driving_torque)
         if motor.brake is not None:
             self._closing[key] = now + motor.brake.closing_time
 

@@ -20,7 +20,7 @@ from thorvaldc.model.scenario import Command, Noise, Scenario, WheelFault
 from thorvaldc.model.spatial import Pose
 from thorvaldc.runtime.calculators import Noise as OdometryNoise
 from thorvaldc.simulation.control_loop import ControlLoop, Sample
-from thorvaldc.simulation.physics.drive_servos import IMPEDANCE
+from thorvaldc.simulation.physics.drive_servos import set_hard_friction
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 
 HEADINGS: Final = ("fault", "true path", "odometry", "position wrong by", "warning")
@@ -165,8 +165,7 @@ def _hold(loop: ControlLoop, fault: GroundFault) -> None:
             joint = scene.index("joint", robot.prefix + wheel.spin_joint, robot)
             blocked.append(int(model.jnt_dofadr[joint]))
     for dof in blocked:
-        model.dof_frictionloss[dof] = _HELD
-        model.dof_solimp[dof, :2] = IMPEDANCE
+        set_hard_friction(model, dof, _HELD)
 
 
 def _position_error(sample: Sample) -> tuple[float, float]:
