@@ -17,6 +17,7 @@ from tests.examples import SAMPLED_ROBOTS
 from tests.robots import FOUR_STEERED, SPAN, make_robot
 from tests.simulation.bus.robots import CIA402, compiled
 from thorvaldc.backends.can import Can
+from thorvaldc.backends.can.canmap import canmap_text
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Bus, FrameDefinition, Node, Robot, Signal
 
@@ -245,6 +246,12 @@ def test_every_bus_has_its_dbc() -> None:
     files = files_of(Can, dataclasses.replace(robot, buses=(*robot.buses, second)))
     assert sorted(p for p in files if p.endswith(".dbc")) == ["can/implement.dbc", "can/main.dbc"]
     assert read_dbc(files["can/implement.dbc"]).buses[0].baudrate == 250_000
+
+
+def test_a_value_that_is_no_json_is_no_text_in_the_map() -> None:
+    robot = dataclasses.replace(robot_with_bus(), namespace=Path("r1"))  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"canmap.json cannot contain"):
+        canmap_text(robot)
 
 
 def test_a_robot_without_a_bus_has_an_empty_map() -> None:

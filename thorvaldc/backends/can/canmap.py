@@ -26,8 +26,16 @@ BUDGET_HEAD = (
 RIGHT = (0, *range(3, len(BUDGET_HEAD)))  # columns of numbers
 JOINT_UNITS = ("rad", "rad/s")
 Motors = dict[str, tuple[Actuator, Joint]]
-# `default` is for the numbers of `why`, which write a mark before their digits.
-_ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False, default=str)
+
+
+def _marked_text(number: Any) -> str:
+    """Returns the text of a number of `why`, which writes a mark before its digits."""
+    if not isinstance(number, int | float):
+        raise TypeError(f"canmap.json cannot contain {number!r}")
+    return str(number)
+
+
+_ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False, default=_marked_text)
 
 
 def canmap_text(robot: Robot) -> str:
