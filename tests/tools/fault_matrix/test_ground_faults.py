@@ -79,6 +79,7 @@ def test_the_command_prints_them(thorvaldc: Command) -> None:
     lines = [line for line in out.splitlines() if line.startswith("|")]
     expected = ground_faults.ground_cells(rows("2wd0ws_greenhouse")["all wheels stall"])
     assert [cell.strip() for cell in lines[-1].split("|")[1:-1]] == [*expected]
+    assert "promises are kept" not in out, "nothing was promised, and nothing tried"
     result = json.loads(thorvaldc(*arguments, "--json").out)
     assert result["faults"] == []
     (row,) = result["ground"]

@@ -295,8 +295,8 @@ SIMULATED = (
     " replace tests on the hardware, and a stop in software is not a safety function."
 )
 GROUND = (
-    "Faults of the ground, in MuJoCo: how wrong the odometry is at the end of 7 s, and which"
-    " standard deviation it states. Of the wheels, the one with the worst result is shown."
+    "Faults of the ground, in MuJoCo, of which nothing is promised: how wrong the odometry is at"
+    " the end of 7 s, and which standard deviation it states. The worst wheel is shown."
 )
 HEADINGS = ("fault", "drives", *fault_cases.PHASES, "promised", "unasked motion")
 
@@ -361,7 +361,7 @@ def markdown(
     ``width``: number of columns of the terminal, or ``None`` for a file.  On a terminal the matrix
     is a text table, because a table in Markdown has one line per row.
     """
-    robot, twist = matrix.robot, matrix.twist
+    robot = matrix.robot
     yield f"# Faults of the robot {robot.name}"
     yield ""
     yield SIMULATED if width is None else textwrap.fill(SIMULATED, width)
@@ -369,18 +369,23 @@ def markdown(
     yield f"- Robot file: `{file}`"
     yield f"- SHA-256 of its model.json: `{model_hash(robot)}`"
     yield f"- thorvaldc {__version__}"
-    yield f"- Driving: {twist.vx:.2f} m/s in curves of {abs(twist.wz):.2f} rad/s to both sides"
-    for bound in stopping.swerve_bounds(robot):
-        yield f"- Yaw, straight ahead: {_swerve_text(bound)}"
     if rows:
-        yield ""
-        yield from _table([HEADINGS, *(row_cells(robot, row) for row in rows)], width)
+        yield from _bus_faults(matrix, rows, width)
     if ground:
         yield ""
         yield GROUND if width is None else textwrap.fill(GROUND, width)
         yield ""
         cells = [ground_faults.HEADINGS, *map(ground_faults.ground_cells, ground)]
         yield from _table(cells, width)
+
+
+def _bus_faults(matrix: FaultMatrix, rows: Sequence[FaultRow], width: int | None) -> Iterator[str]:
+    robot, twist = matrix.robot, matrix.twist
+    yield f"- Driving: {twist.vx:.2f} m/s in curves of {abs(twist.wz):.2f} rad/s to both sides"
+    for bound in stopping.swerve_bounds(robot):
+        yield f"- Yaw, straight ahead: {_swerve_text(bound)}"
+    yield ""
+    yield from _table([HEADINGS, *(row_cells(robot, row) for row in rows)], width)
     broken = [(row, phase, text) for row in rows for phase, texts in row.broken.items()
               for text in texts]  # fmt: skip
     yield ""
