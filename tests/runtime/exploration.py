@@ -93,6 +93,9 @@ CONFIGURATIONS = (
     ),
     Configuration("two programs that home", (NAVIGATION,), (STOP_LOCK,), ("a", "b"), homes=True),
     Configuration(
+        "two sources, two programs", (JOY, NAVIGATION), (STOP_LOCK,), ("a", "b"), faults=False
+    ),
+    Configuration(
         "automatic arming",
         (JOY, NAVIGATION),
         (STOP_LOCK, PAUSE_LOCK),
