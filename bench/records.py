@@ -37,8 +37,8 @@ def figures() -> Iterator[Figure]:
 
         times = in_turns(
             run,
-            lambda: run(lambda: McapRecorder(mcap, simulation.robots, GROUPS)),
-            lambda: run(lambda: CsvRecorder(csv, simulation.robots, GROUPS)),
+            lambda: run(lambda: McapRecorder(mcap, [*simulation.robots.items()], GROUPS)),
+            lambda: run(lambda: CsvRecorder(csv, [*simulation.robots.items()], GROUPS)),
             rounds=ROUNDS,
         )
         plain, as_mcap, as_csv = map(statistics.median, times)

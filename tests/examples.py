@@ -30,11 +30,11 @@ def _sampled_robots() -> tuple[str, ...]:
     others = [name for name in ROBOTS if name not in FIXED_ROBOTS]
     try:
         commit = subprocess.run(
-            ["git", "rev-parse", "HEAD"], cwd=FOLDER, capture_output=True, text=True, check=False
+            ["git", "rev-parse", "HEAD"], cwd=FOLDER, capture_output=True, text=True, check=True
         ).stdout
-    except FileNotFoundError:  # no git
-        commit = ""
-    return (*FIXED_ROBOTS, others[int(commit or "0", 16) % len(others)])
+    except (FileNotFoundError, subprocess.CalledProcessError):  # no git, or no commit
+        commit = "0"
+    return (*FIXED_ROBOTS, others[int(commit, 16) % len(others)])
 
 
 SAMPLED_ROBOTS = _sampled_robots()

@@ -5,7 +5,8 @@
 - ``compile(path)`` returns a ``Compilation``: the model, and a ``Report`` with every error and
   warning as data.
 - ``emit(robot, targets)`` returns the files of the targets in memory.
-- ``Simulation(robot, files)`` drives the robot in MuJoCo.
+- ``Episode(robot)`` drives the robot in MuJoCo, one control cycle after the other, with commands
+  of the program; ``Simulation(robot, files)`` whole runs.
 - ``BaseDriver(robot, base)`` drives a base, such as ``SimBase(robot)``, with a ``Twist``.
 
 All values are in SI units: m, kg, s, rad.  The frame ``base_link`` lies on the ground: x forward,
@@ -26,11 +27,15 @@ __all__ = [
     "Diagnostic",
     "DiagnosticError",
     "DriverState",
+    "Episode",
     "Fleet",
+    "JointCommands",
     "Pose2",
     "Report",
     "Robot",
     "RobotResult",
+    "Sample",
+    "Scenario",
     "SensorSettings",
     "Severity",
     "SimBase",
@@ -53,9 +58,12 @@ if TYPE_CHECKING:
     from thorvaldc.compiler.result import Compilation
     from thorvaldc.diagnostics import Diagnostic, DiagnosticError, Report, Severity, Span
     from thorvaldc.model import Fleet, Robot
-    from thorvaldc.model.scenario import SensorSettings
+    from thorvaldc.model.scenario import Scenario, SensorSettings
+    from thorvaldc.runtime.base_interface import JointCommands
     from thorvaldc.runtime.driver import BaseDriver, DriverState
     from thorvaldc.runtime.se2 import Pose2, Twist
+    from thorvaldc.simulation.control_loop import Sample
+    from thorvaldc.simulation.episode import Episode
     from thorvaldc.simulation.physics.sim_base import SimBase
     from thorvaldc.simulation.simulation_result import RobotResult, SimulationResult
     from thorvaldc.simulation.simulation_run import Simulation
@@ -68,11 +76,15 @@ else:
         "Diagnostic": "diagnostics",
         "DiagnosticError": "diagnostics",
         "DriverState": "runtime.driver",
+        "Episode": "simulation.episode",
         "Fleet": "model",
+        "JointCommands": "runtime.base_interface",
         "Pose2": "runtime.se2",
         "Report": "diagnostics",
         "Robot": "model",
         "RobotResult": "simulation.simulation_result",
+        "Sample": "simulation.control_loop",
+        "Scenario": "model.scenario",
         "SensorSettings": "model.scenario",
         "Severity": "diagnostics",
         "SimBase": "simulation.physics.sim_base",

@@ -23,7 +23,19 @@ SECTIONS = (
     ("Read and compile files", ("load", "load_fleet", "compile", "Compilation", "CompileError")),
     ("Diagnostics", ("Report", "Diagnostic", "Severity", "Span", "DiagnosticError")),
     ("Generate files", ("emit",)),
-    ("Simulate", ("Simulation", "SimulationResult", "RobotResult", "SensorSettings")),
+    (
+        "Simulate",
+        (
+            "Episode",
+            "Sample",
+            "JointCommands",
+            "Simulation",
+            "SimulationResult",
+            "RobotResult",
+            "SensorSettings",
+            "Scenario",
+        ),
+    ),
     ("Drive", ("BaseDriver", "DriverState", "SimBase", "Twist", "Pose2")),
     ("The model", ("Robot", "Fleet")),
 )

@@ -197,7 +197,7 @@ def test_tip_over_is_reported_with_time_and_direction_and_the_record_is_kept(
     text = HEAD.replace("4wd4ws_slim", "4wd2ws_tall").replace("4 s", "40 s")
     text += "world: {ground: {type: slope, angle: 58 deg, direction: 90 deg}, friction: 4.5}\n"
     drive = simulation(tmp_path, text)
-    recorder = CsvRecorder(tmp_path / "records", drive.robots, ("truth",))
+    recorder = CsvRecorder(tmp_path / "records", [*drive.robots.items()], ("truth",))
     report = Report()
     result = drive.play(report, [recorder])
     recorder.close()
@@ -222,7 +222,7 @@ def test_records_have_the_groups_and_times_of_the_scenario(tmp_path: Path) -> No
     text = HEAD + "record: {what: [truth, joints], every: 0.1 s}\n"
     drive = simulation(tmp_path, text)
     scenario = drive.scenario
-    recorder = CsvRecorder(tmp_path / "r", drive.robots, scenario.record, scenario.every)
+    recorder = CsvRecorder(tmp_path / "r", [*drive.robots.items()], scenario.record, scenario.every)
     drive.play(Report(), [recorder])
     recorder.close()
     rows = read(tmp_path / "r/cart.csv")
@@ -266,7 +266,7 @@ def test_divergence_is_reported_with_time_and_cause(tmp_path: Path) -> None:
 
 def test_an_interrupted_run_leaves_complete_records(tmp_path: Path) -> None:
     drive = simulation(tmp_path, HEAD)
-    recorder = CsvRecorder(tmp_path / "r", drive.robots, drive.scenario.record)
+    recorder = CsvRecorder(tmp_path / "r", [*drive.robots.items()], drive.scenario.record)
 
     def on_tick(loop: Any) -> None:
         if loop.driver.state.time >= 1.0:

@@ -219,13 +219,14 @@ def _run_drive(
         )
         if sensors and not simulation.sensors:
             message("no robot has a sensor that is simulated")
-        left_out = not_simulated(robot for _, robot in simulation.robots) if sensors else []
+        left_out = not_simulated(simulation.robots.values()) if sensors else []
         if left_out:
             message(f"not simulated: {', '.join(left_out)}")
         if not duration:
             duration = TWIST_DURATION if twist is not None else simulation.demonstration()[1]
-        with outputs.open(simulation.robots, GROUPS, 0.0, duration) as (recorders, watch):
-            simulation.record_sensors(recorders)
+        robots = [*simulation.robots.items()]
+        with outputs.open(robots, GROUPS, 0.0, duration) as (recorders, watch):
+            simulation.episode.record_sensors(recorders)
             if recorders:
                 watch = call_all([watch, record_ticks(recorders)])
             if twist is not None:
@@ -237,7 +238,7 @@ def _run_drive(
         return show_report(compilation.located(report), compilation.sources)
     text = "" if json else result_table([result], table_width())
     status = _show(compilation, report, result, text)
-    outputs.write(model, simulation.robots, files)
+    outputs.write(model, robots, files)
     return status
 
 

@@ -3,7 +3,7 @@ in SI units."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from thorvaldc.model import quantities as si
 from thorvaldc.model.robot import Robot
@@ -17,11 +17,16 @@ class Placement:
 
     - ``name``: name and name space of the robot in the scene.
     - ``pose``: pose of the robot's ``base_link`` in the world.
+    - ``robot``: the robot; its name space becomes ``name``.
     """
 
     name: str
     pose: Pose
     robot: Robot
+
+    def __post_init__(self) -> None:
+        if self.robot.namespace != self.name:
+            object.__setattr__(self, "robot", replace(self.robot, namespace=self.name))
 
     def __repr__(self) -> str:
         x, y, z = self.pose.xyz

@@ -119,8 +119,13 @@ class Expectation:
 class Scenario:
     """A simulation run with the robots of a fleet in the world of the fleet.
 
+    - ``description``: text for people.
+    - ``fleet``: the robots with their start poses, and the world.
     - ``duration``: duration of the run in s.
     - ``commands``: the name of each robot with the commands of the robot, in order of time.
+    - ``faults``: faults of motors, encoders and wheels, each with its times.
+    - ``noise``: errors of the measurements.
+    - ``expectations``: bounds of the metrics.
     - ``record``: names of the groups of columns in the record of the run.
     - ``every``: time between two rows of the record in s, or 0 to record every control tick.
     - ``open_loop``: ``True`` if the drive motors apply a voltage without speed control.

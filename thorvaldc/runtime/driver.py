@@ -135,6 +135,8 @@ class BaseDriver:
         """Reason why the source that commands the twist moves nothing, or an empty text."""
         self._commanded_twist = ZERO_TWIST
         self._command_time = -math.inf
+        self.commands = 0
+        """Number of the accepted commands."""
         self.time_gaps = TimeGapRule.of(robot, self.settings, base.longest_interval)
         self.permission = MotionPermission.of(robot)
         geometry = self.calculator.geometry
@@ -172,8 +174,9 @@ class BaseDriver:
         """
         if not (float_sum(map(abs, twist)) < MAX_TWIST and math.isfinite(now)):
             return False
-        self._commanded_twist = twist
+        self._commanded_twist = Twist(*twist)
         self._command_time = now
+        self.commands += 1
         return True
 
     def commanded_twist(self, now: float) -> Twist:

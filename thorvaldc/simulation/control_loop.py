@@ -10,11 +10,12 @@ from typing import Final, NamedTuple
 
 from thorvaldc.model import DriverSettings, Robot
 from thorvaldc.runtime import se2
-from thorvaldc.runtime.base_interface import BaseHandle, JointStates
+from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
 from thorvaldc.runtime.calculators import for_robot
 from thorvaldc.runtime.driver import BaseDriver, DriverState
 from thorvaldc.runtime.se2 import ZERO_COV, ZERO_TWIST, Cov3, Pose2, Twist
 from thorvaldc.runtime.twist_ramp import is_axle_swing
+from thorvaldc.simulation.direct_commands import DirectCommands
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.physics.sim_base import GroundTruth
@@ -253,6 +254,9 @@ class ControlLoop:
         self.driver = BaseDriver(robot, base, parameters=parameters)
         self.base = base
         self.manoeuvre = manoeuvre
+        self._direct: DirectCommands | None = None
+        self._commands = 0
+        """Number of the commands of the driver, as long as all are those of the manoeuvre."""
         self.ticks = 0
         self._truth = base if isinstance(base, GroundTruth) else None
         self.start = se2.ORIGIN if self._truth is None else self._truth.true_pose()
@@ -282,11 +286,45 @@ class ControlLoop:
         """Time (s) of the next tick of the driver."""
         return self.ticks / self.robot.driver.rate
 
+    def follow(self, manoeuvre: Manoeuvre) -> None:
+        """Follows a manoeuvre from the next tick on."""
+        if self._direct is not None:
+            self.driver.calculator = self._direct.odometer
+            self.driver.calculator.reset(self.driver.state.joints)
+            self._direct = None
+        self.manoeuvre, self._commands = manoeuvre, self.driver.commands
+
+    def follow_joints(self, commands: JointCommands) -> None:
+        """Passes joint commands on from the next tick on, past the calculator of the driver.
+
+        Raises ``ValueError`` if they are not one finite speed and angle for each wheel.
+        """
+        direct = self._direct
+        if direct is None:
+            driver = self.driver
+            direct = DirectCommands(self.robot, driver.calculator, driver.state.joints)
+        direct.set(commands)
+        self.driver.calculator = self._direct = direct
+        self.manoeuvre, self._commands = (), self.driver.commands
+
+    def place(self, pose: Pose2) -> None:
+        """Moves the robot to a planar pose in the world, before the first tick."""
+        if self._truth is not None:
+            self._truth.place(pose)
+            pose = self._truth.true_pose()
+        self.start = self.pose_true = pose
+
     def tick(self) -> None:
-        """Runs one tick of the base driver."""
+        """Runs one tick of the base driver.
+
+        The driver follows the manoeuvre until another program, such as a function that is called
+        after each tick, commands it; then its command time-out holds.
+        """
         now = self.next_time
         previous = self.driver.state
-        self.driver.command(twist_at(self.manoeuvre, now), now)
+        if self.driver.commands == self._commands:
+            self.driver.command(twist_at(self.manoeuvre, now), now)
+            self._commands = self.driver.commands
         state = self.driver.tick(now)
         if self.ticks:
             dt = now - previous.time

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thorvaldc.backends.xml_writer import Element, to_bytes
 from thorvaldc.compiler.scenario.scenario_compilation import metric_units
 from thorvaldc.diagnostics import DiagnosticError, Report, Span
-from thorvaldc.model import Robot
 from thorvaldc.model.scenario import Expectation, Scenario
-from thorvaldc.runtime.base_interface import BaseHandle
-from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation import control_loop
-from thorvaldc.simulation.physics.scenario_base import ScenarioBase
 from thorvaldc.simulation.records.recorder import Recorder, RunHash
 from thorvaldc.simulation.simulation_result import SimulationResult, result_table
 from thorvaldc.simulation.simulation_run import Simulation
@@ -155,19 +151,8 @@ class ScenarioSimulation(Simulation):
         ``DiagnosticError`` if the scene cannot be read, or if a robot does not have the parameter
         set ``parameters``.
         """
-        super().__init__(scenario.fleet, files, parameters)
-        if scenario.sensors is not None:
-            # They measure only for a record, or from the first use of ``sensors`` on.
-            self._sensor_settings = replace(scenario.sensors, noise=scenario.noise)
+        super().__init__(scenario, files, parameters)
         self.scenario = scenario
-        world = scenario.fleet.world
-        self._zones = world.zones if world is not None else ()
-        # By robot name: (start time in s, name of the parameter set) of each parameter change in
-        # the script.
-        self._parameter_changes = {
-            name: [(c.time, c.parameters) for c in commands if c.parameters]
-            for name, commands in scenario.commands
-        }
 
     def play(
         self,
@@ -195,7 +180,7 @@ class ScenarioSimulation(Simulation):
 
         run_hash = RunHash()
         all_recorders = (run_hash, *recorders) if hashed else tuple(recorders)
-        self.record_sensors(recorders)
+        self.episode.record_sensors(recorders)
         metrics: dict[str, ScenarioMetrics] = {}
         limited = [e for e in self.scenario.expectations if ends_early and e.most is not None]
 
@@ -211,20 +196,11 @@ class ScenarioSimulation(Simulation):
                 sample, joints = loop.sample(), None if command is None else command.joints
                 for recorder in all_recorders:
                     recorder.record(loop.name, sample, joints)
-            self._change_parameters(loop)
             if on_tick is not None:
                 on_tick(loop)
 
-        manoeuvres = {
-            name: tuple(control_loop.Segment(c.time, Twist(c.vx, c.vy, c.wz)) for c in commands)
-            for name, commands in self.scenario.commands
-        }
-        self._bases: list[ScenarioBase] = []
-        try:
-            run = self.run(self.scenario.duration, manoeuvres, report, measure)
-        finally:
-            for base in self._bases:
-                base.close()
+        self.episode.begin()
+        run = self._finish(self.scenario.duration, report, measure)
         values = {robot.name: metrics[robot.name].values(robot) for robot in run.robots}
         checks = tuple(
             check_expectation(robot, robot_values, expectation)
@@ -242,33 +218,6 @@ class ScenarioSimulation(Simulation):
         return ScenarioResult(
             self.scenario.name, run, values, checks, run_hash.hexdigest() if hashed else ""
         )
-
-    def _change_parameters(self, loop: control_loop.ControlLoop) -> None:
-        """Switches the driver to another parameter set at the times of the script.
-
-        The driver applies a requested parameter change at the next tick.  The function requests a
-        parameter change after the last tick before the time of the change, so that the change takes
-        effect in time.  A parameter change at time 0 is requested after the first tick.
-        """
-        previous, following = loop.driver.state.time, loop.next_time
-        for start, parameters in self._parameter_changes.get(loop.name, ()):
-            if previous < start - 1e-9 <= following or start == previous == 0.0:
-                loop.driver.use(parameters)
-
-    def _base(self, name: str, robot: Robot) -> BaseHandle:
-        if self.scene is None:
-            return super()._base(name, robot)
-        faults = [fault for fault in self.scenario.faults if fault.robot == name]
-        base = ScenarioBase(
-            robot,
-            self.scene,
-            faults,
-            self.scenario.noise,
-            self._zones,
-            open_loop=self.scenario.open_loop,
-        )
-        self._bases.append(base)
-        return base
 
 
 def _check_least_values(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -11,24 +10,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from thorvaldc.diagnostics import DiagnosticError, Report, millimetres
-from thorvaldc.model import Fleet, Robot, Wheel, robots_by_name
-from thorvaldc.model.model_json import load_model
+from thorvaldc.model import Fleet, Robot, Wheel
+from thorvaldc.model.scenario import Scenario
 from thorvaldc.model.statics.mobility import roll_speeds
-from thorvaldc.runtime import se2
-from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import Pose2, Twist, twist_text
 from thorvaldc.runtime.twist_ramp import forbidding_part, is_axle_swing
 from thorvaldc.simulation import control_loop
 from thorvaldc.simulation.control_loop import ControlLoop, Manoeuvre, TickCallback
-from thorvaldc.simulation.physics.mujoco_base import MujocoBase
-from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoScene
-from thorvaldc.simulation.physics.sim_base import GroundTruth, RollingBase, SimBase, WheelErrors
+from thorvaldc.simulation.episode import Episode, Motion, manoeuvre_of
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
+from thorvaldc.simulation.physics.sim_base import GroundTruth, WheelErrors
 from thorvaldc.simulation.simulation_result import SimulationResult
 
 if TYPE_CHECKING:
     from thorvaldc.model.scenario import SensorSettings
-    from thorvaldc.simulation.records.recorder import Recorder
     from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
 
 
@@ -152,7 +148,7 @@ class Simulation:
 
     def __init__(
         self,
-        model: Robot | Fleet,
+        model: Robot | Fleet | Scenario | Path | str,
         files: Path | str | Mapping[str, bytes] | None = None,
         parameters: str | None = None,
         *,
@@ -164,144 +160,95 @@ class Simulation:
 
         * ``files``: a build folder, or the outputs of the ``mjcf`` backend as ``{path: bytes}``.
           With ``files`` the robots drive in MuJoCo.  Without ``files`` the robots have ideal
-          joints.
-        * ``parameters``: name of the parameter set of the drivers.
-        * ``wheel_errors``: errors of the wheels by robot name.  The drivers do not correct the
-          wheel errors.
-        * ``open_loop``: true if the drive motors apply a voltage without speed control.
-        * ``sensors``: settings of the sensors of the modules, which then measure in MuJoCo.
-          ``None``: they measure, with the default settings, from the first use of ``sensors`` on.
+          joints, unless ``model`` is the path of a build folder.
 
-        A simulation with ideal joints uses ``RollingBase``, in which no wheel slips, for robots
-        with wheel errors or with ``open_loop``.
-
-        Raises ``DiagnosticError`` if the scene cannot be read, if the scene belongs to another
-        model, or if a robot does not have the parameter set ``parameters``.
+        The other parameters and the errors are those of ``Episode``.
         """
-        self.robots = [*robots_by_name(model).items()]
-        if isinstance(model, Fleet):
-            self.starts = {
-                p.name: Pose2(p.pose.xyz[0], p.pose.xyz[1], p.pose.rpy()[2])
-                for p in model.placements
-            }
-        else:
-            self.starts = {model.name: se2.ORIGIN}
-        for _, robot in self.robots:
-            Parameters.from_robot(robot, parameters)
-        self.parameters = parameters
-        world = model.world if isinstance(model, Fleet) else None
-        self.rails = world is not None and any(block.kind == "rail" for block in world.blocks)
-        self.scene = None if files is None else MujocoScene(files)
-        self._files, self._sensor_settings = files, sensors
-        self._suite: SensorSuite | None = None
-        if sensors is not None:
-            _ = self.sensors
-        self.wheel_errors = wheel_errors or {}
-        self.open_loop = open_loop
+        self.episode = Episode(
+            model,
+            files,
+            parameters,
+            ideal=files is None and not isinstance(model, (Path, str)),
+            wheel_errors=wheel_errors,
+            open_loop=open_loop,
+            sensors=sensors,
+        )
 
     def __repr__(self) -> str:
-        names = [name for name, _ in self.robots]
-        shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-        return (
-            f"<Simulation of {shown} {'with ideal joints' if self.scene is None else 'in MuJoCo'}>"
-        )
+        return repr(self.episode).replace("Episode", type(self).__name__)
+
+    @property
+    def robots(self) -> Mapping[str, Robot]:
+        """The robots by name."""
+        return self.episode.robots
+
+    @property
+    def scene(self) -> MujocoScene | None:
+        """The MuJoCo scene, or ``None`` with ideal joints."""
+        return self.episode.scene
+
+    @property
+    def starts(self) -> dict[str, Pose2]:
+        """Start pose (m, rad) of each robot in the world, for the next runs."""
+        return self.episode.starts
+
+    @starts.setter
+    def starts(self, starts: Mapping[str, Pose2]) -> None:
+        self.episode.starts = dict(starts)
 
     @property
     def sensors(self) -> SensorSuite:
-        """The simulated sensors of the robots by name; in a fleet with the robot: ``r1/lidar``.
-
-        ``sensors["lidar"].latest`` is the last message of a run, and the functions in
-        ``sensors.listeners`` are called with each sensor and message.  The motion of a run is the
-        same with and without sensors.
-
-        Raises ``DiagnosticError`` for ideal joints, which have no scene to measure.
-        """
-        if self._suite is None:
-            if self.scene is None or self._files is None:
-                raise DiagnosticError(
-                    "simulation-scene",
-                    "sensors need a scene to measure, and ideal joints have none",
-                    hint="leave out --ideal; in Python, give `Simulation` the files of the mjcf",
-                )
-            # Runs without sensors do not import numpy for them.
-            from thorvaldc.model.scenario import SensorSettings
-            from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
-
-            robots = [robot for _, robot in self.robots]
-            settings = self._sensor_settings or SensorSettings()
-            self._suite = SensorSuite(self.scene, self._files, robots, settings)
-        return self._suite
-
-    def record_sensors(self, recorders: Sequence[Recorder]) -> None:
-        """Gives the messages of the sensors to the MCAP recorders, if there are settings of sensors
-        or they measure.  Raises ``DiagnosticError`` as ``sensors`` does."""
-        if self._sensor_settings is None and self._suite is None:
-            return
-        from thorvaldc.simulation.records.mcap_writer import McapRecorder
-
-        taking = [r.measured for r in recorders if isinstance(r, McapRecorder)]
-        if taking or self._suite is not None:
-            self.sensors.recorders = [*taking]
+        """The simulated sensors, see ``Episode.sensors``."""
+        return self.episode.sensors
 
     def run(
         self,
         duration: float,
-        motion: Twist | Manoeuvre | Mapping[str, Manoeuvre],
+        motion: Motion | Mapping[str, Motion],
         report: Report | None = None,
         on_tick: TickCallback | None = None,
     ) -> SimulationResult:
         """Simulates a run of ``duration`` s from rest and returns the result of the run.
 
-        ``motion`` is one twist, a manoeuvre for all robots, or a mapping from robot names to
-        manoeuvres.  The run ends early if a robot falls over or the simulation diverges.  A fall,
-        a divergence and a commanded twist that a robot cannot drive are added to ``report``.
+        ``motion`` is one twist, a manoeuvre for all robots, or a mapping from robot names to twists
+        or manoeuvres.  The run ends early if a robot falls over or the simulation diverges.  A
+        fall, a divergence and a commanded twist that a robot cannot drive are added to ``report``.
 
         After each tick of a robot, ``on_tick`` is called with the control loop of the robot.
         ``ControlLoop.sample`` then returns the measurements of the tick.
 
-        Raises ``DiagnosticError`` if the run cannot start.
+        Raises ``DiagnosticError`` if the run cannot start, and ``ValueError`` if there is no robot
+        with a name of the mapping.
         """
         if not 0.0 < duration < math.inf:
             raise DiagnosticError("twist-invalid", f"a run of {duration:g} s; it must be positive")
-        if self.scene is not None:
-            self.scene.reset()
-        loops = [
-            ControlLoop(
-                name, robot, self._base(name, robot), _manoeuvre(motion, name), self.parameters
-            )
-            for name, robot in self.robots
-        ]
-        # The drivers of the robots may have different rates.  The heap contains the time of the
-        # next tick of each robot.  Robots with equal tick times run in the order of the model, so
-        # that runs are repeatable.
-        schedule = [(loop.next_time, number) for number, loop in enumerate(loops)]
-        collisions = None
-        if self.scene is not None:
-            collisions = CollisionCounter(self.scene, dict(self.robots))
+        episode = self.episode
+        by_robot = motion if isinstance(motion, Mapping) else dict.fromkeys(self.robots, motion)
+        manoeuvres = {name: manoeuvre_of(own) for name, own in by_robot.items()}
+        episode.begin()
+        for name, manoeuvre in manoeuvres.items():
+            episode.check_robot(name)
+            episode.loops[name].follow(manoeuvre)
+        return self._finish(duration, report, on_tick)
+
+    def _finish(
+        self, duration: float, report: Report | None, on_tick: TickCallback | None
+    ) -> SimulationResult:
+        """Runs a started episode, and returns its result."""
+        episode = self.episode
         started = time.perf_counter()
-        simulated = 0.0
-        stopped = False
-        while schedule and not stopped:
-            now, number = schedule[0]
-            if now > duration + 1e-9:
-                break
-            simulated = now
-            loop = loops[number]
-            loop.tick()
-            heapq.heapreplace(schedule, (loop.next_time, number))
-            if collisions is not None:
-                collisions.update()
-            if on_tick is not None:
-                on_tick(loop)
-            stopped = loop.tipped or (self.scene is not None and self.scene.diverged)
+        try:
+            episode.advance(duration, on_tick, ends_with_a_fall=True)
+        finally:
+            episode.close()
         wall = time.perf_counter() - started
-        diverged = self.scene is not None and self.scene.diverged
+        loops, collisions = [*episode.loops.values()], episode.collisions
         result = SimulationResult(
             "ideal" if self.scene is None else "mujoco",
             duration,
-            simulated,
-            simulated / wall if wall > 0.0 else 0.0,
-            diverged,
+            episode.time,
+            episode.time / wall if wall > 0.0 else 0.0,
+            episode.diverged,
             tuple(
                 replace(loop.result(), collisions=collisions.collisions[loop.name])
                 if collisions is not None
@@ -312,7 +259,7 @@ class Simulation:
         if report is not None:
             if self.scene is not None:
                 self._report_radii(report)
-            fastest = self.scene.fastest if diverged and self.scene is not None else ""
+            fastest = self.scene.fastest if episode.diverged and self.scene is not None else ""
             report_run(loops, result, report, fastest)
         return result
 
@@ -333,11 +280,11 @@ class Simulation:
     def demonstration(self) -> tuple[Mapping[str, Manoeuvre], float]:
         """Returns the default manoeuvres by robot name, and the duration of the manoeuvres (s)."""
         if len(self.robots) == 1:
-            name, robot = self.robots[0]
+            ((name, robot),) = self.robots.items()
             manoeuvre, end = control_loop.default_manoeuvre(robot)
             return {name: manoeuvre}, end
         return control_loop.fleet_manoeuvres(
-            [(name, robot, self.starts[name]) for name, robot in self.robots]
+            [(name, robot, self.starts[name]) for name, robot in self.robots.items()]
         )
 
     def _report_radii(self, report: Report) -> None:
@@ -346,54 +293,23 @@ class Simulation:
         The wheel radii of the scene are fixed when the scene is built.  A parameter set changes
         only the wheel radii that the driver assumes.
         """
-        for name, robot in self.robots:
-            if self.rails and any(wheel.treads for wheel in robot.wheels):
+        world, parameters = self.episode.world, self.episode.parameters
+        on_rails = world is not None and any(block.kind == "rail" for block in world.blocks)
+        for name, robot in self.robots.items():
+            if on_rails and any(wheel.treads for wheel in robot.wheels):
                 continue  # the radius changes along the path: on the tyre, or on a rail
-            radii = Parameters.from_robot(robot, self.parameters).radii
+            radii = Parameters.from_robot(robot, parameters).radii
             for wheel, radius in zip(robot.wheels, radii, strict=True):
                 if wheel.driven and radius != wheel.radius:
                     report.add(
                         "parameter-set-scene",
-                        f"the parameter set `{self.parameters}` of {name} has a radius of "
+                        f"the parameter set `{parameters}` of {name} has a radius of "
                         f"{millimetres(radius, 6)} for {wheel.name}; in this scene it rolls on "
                         f"{millimetres(wheel.radius, 6)}",
                         robot.span,
                         hint="use ideal joints (--ideal), or a parameter set with these radii",
                     )
                     break
-
-    def _base(self, name: str, robot: Robot) -> BaseHandle:
-        """Returns the base that the driver of a robot controls."""
-        wheel_errors = self.wheel_errors.get(name)
-        if self.scene is not None:
-            return MujocoBase(
-                robot, self.scene, wheel_errors=wheel_errors, open_loop=self.open_loop
-            )
-        if wheel_errors is not None or self.open_loop:
-            return RollingBase(
-                robot, wheel_errors, Parameters.from_robot(robot, self.parameters).radii
-            )
-        return SimBase(robot)
-
-
-def _manoeuvre(motion: Twist | Manoeuvre | Mapping[str, Manoeuvre], robot: str) -> Manoeuvre:
-    """Returns the manoeuvre of a robot.
-
-    Raises ``DiagnosticError`` if a start time or a twist is not finite.
-    """
-    manoeuvre: Manoeuvre
-    if isinstance(motion, Twist):
-        manoeuvre = (control_loop.Segment(0.0, motion),)
-    elif isinstance(motion, Mapping):
-        manoeuvre = motion.get(robot, ())
-    else:
-        manoeuvre = motion
-    for start, twist in manoeuvre:
-        if not (math.isfinite(start) and twist.finite):
-            raise DiagnosticError(
-                "twist-invalid", f"the twist {tuple(twist)} from {start:g} s on is not finite"
-            )
-    return manoeuvre
 
 
 def drive_build(build: Path, report: Report) -> SimulationResult | None:
@@ -403,7 +319,7 @@ def drive_build(build: Path, report: Report) -> SimulationResult | None:
     cannot start, the function adds the reason to ``report`` and returns ``None``.
     """
     try:
-        return Simulation(load_model(build), build).demonstrate(report)
+        return Simulation(build).demonstrate(report)
     except DiagnosticError as error:
         report.put(error.diagnostic)
         return None

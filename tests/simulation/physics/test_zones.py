@@ -90,8 +90,11 @@ def test_each_wheel_has_the_friction_of_its_zone(tmp_path: Path) -> None:
     scene = simulation.scene
     assert scene is not None
     model = scene.model
-    treads = {w.name: scene.index("geom", f"cart/{w.link}_tread", r) for _, r in simulation.robots
-              for w in r.wheels}  # fmt: skip
+    treads = {
+        w.name: scene.index("geom", f"cart/{w.link}_tread", r)
+        for r in simulation.robots.values()
+        for w in r.wheels
+    }
     frictions = model.geom_friction.copy()
     seen: dict[str, set[float]] = {name: set() for name in treads}
 

@@ -26,7 +26,7 @@ def record(name: str, path: Path, groups: tuple[str, ...]) -> tuple[Any, dict[st
     model = compile_file(EXAMPLES / name).model
     assert model is not None
     simulation = Simulation(model)
-    recorder = McapRecorder(path, simulation.robots, groups)
+    recorder = McapRecorder(path, [*simulation.robots.items()], groups)
     simulation.run(0.1, [], None, record_ticks([recorder]))
     recorder.close()
     with path.open("rb") as stream:

@@ -47,7 +47,7 @@ def drive(
     simulation = Simulation(model)
     samples: dict[str, list[Sample]] = {}
     groups = options.pop("groups", GROUPS)
-    recorder = McapRecorder(path, simulation.robots, groups, **options)
+    recorder = McapRecorder(path, [*simulation.robots.items()], groups, **options)
     pass_on = record_ticks([recorder])
 
     def on_tick(loop: ControlLoop) -> None:
@@ -192,7 +192,7 @@ def test_groups_and_times_are_those_requested(robot: Robot, tmp_path: Path) -> N
 def test_an_interrupted_run_leaves_a_complete_file(robot: Robot, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     simulation = Simulation(robot)
-    recorder = McapRecorder(path, simulation.robots, GROUPS)
+    recorder = McapRecorder(path, [*simulation.robots.items()], GROUPS)
     pass_on = record_ticks([recorder])
 
     def on_tick(loop: ControlLoop) -> None:

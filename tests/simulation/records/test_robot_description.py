@@ -89,7 +89,7 @@ def model_of(name: str) -> Any:
 def drive(model: Robot | Fleet, path: Path, seconds: float, groups: Any = GROUPS) -> RunHash:
     simulation = Simulation(model)
     run_hash = RunHash()
-    recorder = McapRecorder(path, simulation.robots, groups)
+    recorder = McapRecorder(path, [*simulation.robots.items()], groups)
     plan = [Segment(0.0, Twist(0.4, 0.0, 0.3))]
     simulation.run(seconds, plan, None, record_ticks([recorder, run_hash]))
     recorder.close()

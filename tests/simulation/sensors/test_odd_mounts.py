@@ -113,7 +113,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
     compilation = compile_file(folder / "odd.yaml")
     assert compilation.scenario is not None, [d.message for d in compilation.report]
     run = ScenarioSimulation(compilation.scenario, emit(compilation.scenario.fleet, ["mjcf"]))
-    recorder = McapRecorder(folder / "odd.mcap", run.robots, ("odometry", "truth"))
+    recorder = McapRecorder(folder / "odd.mcap", [*run.robots.items()], ("odometry", "truth"))
     run.play(Report(), [recorder])
     recorder.close()
     return Record(folder / "odd.mcap")

@@ -35,7 +35,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     """Returns a bag of two seconds and its simulation."""
     folder = tmp_path_factory.mktemp("bag")
     run = simulation(folder, WORLD, ALL_SENSORS, duration=2.0)
-    recorder = McapRecorder(folder / "run.mcap", run.robots, ("odometry", "truth"))
+    recorder = McapRecorder(folder / "run.mcap", [*run.robots.items()], ("odometry", "truth"))
     run.play(Report(), [recorder])
     recorder.close()
     layout = json.loads((folder / "run.foxglove.json").read_text())["configById"]["3D!robots"]

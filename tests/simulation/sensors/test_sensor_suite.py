@@ -158,7 +158,7 @@ def test_images_without_opengl_are_an_error_at_the_start(
     run = simulation(tmp_path, "", ALL_SENSORS, sensors="sensors: {images: true}\n")
     with pytest.raises(DiagnosticError, match="cannot draw without a display"):
         _ = run.sensors
-    recorder = McapRecorder(tmp_path / "run.mcap", run.robots, ())
+    recorder = McapRecorder(tmp_path / "run.mcap", [*run.robots.items()], ())
     with pytest.raises(DiagnosticError, match="cannot draw without a display"):
         run.play(Report(), [recorder])
     recorder.close()
@@ -264,7 +264,7 @@ def test_two_plays_write_two_records(tmp_path: Path) -> None:
     run = simulation(tmp_path, CURVE, duration=0.5)
     sizes = []
     for name in ("a.mcap", "b.mcap"):
-        recorder = McapRecorder(tmp_path / name, run.robots, ("truth",))
+        recorder = McapRecorder(tmp_path / name, [*run.robots.items()], ("truth",))
         run.play(Report(), [recorder])
         recorder.close()
         sizes.append((tmp_path / name).read_bytes())

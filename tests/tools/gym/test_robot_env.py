@@ -106,7 +106,9 @@ def test_joints_follow_their_actions(gymnasium: Any) -> None:
         env.step(np.array([math.nan] * 6))
     # A new episode does not continue the commands of the last one.
     env.reset(seed=1)
-    assert set(env._joints.commands.speeds) == {0.0}
+    command = env.episode.loops[env.name].driver.state.command
+    assert command is not None
+    assert set(command.joints.speeds) == {0.0}
 
 
 def test_steering_stays_within_its_limits(gymnasium: Any) -> None:

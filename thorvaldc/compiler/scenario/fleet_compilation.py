@@ -167,7 +167,7 @@ class Placements:
             self.placed.append(placement)
 
     def _member(self, name: str, robot: Robot, node: Node) -> Robot:
-        """Returns the model of a robot with its name space and its ROS 2 package in the fleet."""
+        """Returns the model of a robot with its ROS 2 package in the fleet."""
         package = package_name(f"{robot.ros.package}_{name}")
         first_name, first_span = self._packages.setdefault(package, (name, node.where))
         if first_name != name:
@@ -178,7 +178,7 @@ class Placements:
                 hint="rename one of the robots of the fleet",
                 labels=[Label(first_span, "first used here")],
             )
-        return replace(robot, namespace=name, ros=replace(robot.ros, package=package))
+        return replace(robot, ros=replace(robot.ros, package=package))
 
     def _poses(self, entry: str, section: Section) -> Iterator[tuple[str, Pose]]:
         """Yields the name and the pose of each robot that an entry of the section `robots` places.

@@ -128,7 +128,7 @@ def _place_single_robot(robot: Robot, robots: Section, report: Report) -> tuple[
     """
     entries = list(robots.items())
     if len(entries) != 1:
-        return (Placement(robot.name, Pose(), replace(robot, namespace=robot.name)),)
+        return (Placement(robot.name, Pose(), robot),)
     placements = fleet_compilation.Placements(report)
     for name, entry in entries:
         placements.add(name, entry, robot)

@@ -233,6 +233,10 @@ class GroundTruth(abc.ABC):
     def true_twist(self) -> Twist:
         """Returns the planar velocity of ``base_link``, expressed in ``base_link``."""
 
+    @abc.abstractmethod
+    def place(self, pose: Pose2) -> None:
+        """Moves the robot to a planar pose in the world frame, at the start of a run."""
+
     def posture(self) -> tuple[float, float, float]:
         """Returns the height (m), roll (rad) and pitch (rad) of ``base_link``.
 
@@ -403,6 +407,9 @@ class RollingBase(SimBase, GroundTruth):
 
     def true_twist(self) -> Twist:
         return self._twist
+
+    def place(self, pose: Pose2) -> None:
+        self._pose = pose
 
     def _advance(self, dt: float) -> None:
         super()._advance(dt)

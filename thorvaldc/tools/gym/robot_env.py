@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,16 +21,13 @@ from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import Scenario
-from thorvaldc.runtime.base_interface import JointCommands, JointStates
-from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate
+from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
-from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.run_time_parameters import Parameters
-from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Pose2, Twist
-from thorvaldc.simulation.control_loop import ControlLoop, Manoeuvre, Sample, Segment
-from thorvaldc.simulation.physics.mujoco_base import MujocoBase
-from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoScene
-from thorvaldc.simulation.physics.scenario_base import ScenarioBase
+from thorvaldc.runtime.se2 import Pose2, Twist
+from thorvaldc.simulation.control_loop import ControlLoop, Sample
+from thorvaldc.simulation.episode import Episode
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 if TYPE_CHECKING:
     from thorvaldc.simulation.pictures.render import BoundingBoxes
@@ -39,9 +36,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Step = tuple[Array, float, bool, bool, dict[str, Any]]
 """Observation, reward, terminated, truncated, info."""
-
-_STOPPING_TIME = 0.15
-"""Time constant (s) with which a commanded steering angle approaches its target."""
 
 
 class JointActions:
@@ -52,8 +46,7 @@ class JointActions:
     """
 
     def __init__(self, robot: Robot) -> None:
-        n = len(robot.wheels)
-        self.commands = JointCommands([0.0] * n, [0.0] * n)
+        self._wheels = len(robot.wheels)
         # ``driven`` has (wheel, largest speed in rad/s) for each driven wheel.  ``steered`` has
         # (wheel, scale, lower limit, upper limit) in rad for each steered wheel.
         self.driven: list[tuple[int, float]] = []
@@ -70,74 +63,15 @@ class JointActions:
                 scale = scale if math.isfinite(scale) else math.pi
                 self.steered.append((i, scale, lower, upper))
 
-    def reset(self) -> None:
-        """Sets all joint commands to zero."""
-        n = len(self.commands.speeds)
-        self.commands.speeds, self.commands.angles = [0.0] * n, [0.0] * n
-
-    def set(self, action: Array) -> None:
-        """Sets the joint commands to the values of an action."""
-        speeds, angles = list(self.commands.speeds), list(self.commands.angles)
+    def commands(self, action: Array) -> JointCommands:
+        """Returns the joint commands of an action."""
+        speeds, angles = [0.0] * self._wheels, [0.0] * self._wheels
         values = action.tolist()
         for (i, largest), value in zip(self.driven, values, strict=False):
             speeds[i] = value * largest
-        for (i, scale, lower, upper), value in zip(
-            self.steered, values[len(self.driven) :], strict=True
-        ):
-            angles[i] = min(max(value * scale, lower), upper)
-        self.commands.speeds, self.commands.angles = speeds, angles
-
-
-class DirectCommands(BaseCalculator):
-    """A base calculator that returns the joint commands of an action for every twist.
-
-    The base calculator ``odometer`` computes the odometry.
-    """
-
-    name = "direct"
-    summary = "joint commands of an environment"
-
-    def __init__(self, odometer: BaseCalculator, commands: JointCommands) -> None:
-        super().__init__(odometer.geometry, odometer.options, odometer.noise)
-        self.estimator = odometer.estimator
-        self._odometer = odometer
-        self._commands = commands
-        self._angles = list(commands.angles)
-
-    def _steer(self, states: JointStates | None, dt: float | None) -> None:
-        """Moves the commanded steering angles towards the angles of the action.
-
-        The rate of a commanded angle is limited to the largest rate of the steering motor, and near
-        the target to the rate from which the motor can stop.  A step of the commanded angle would
-        make the wheel overshoot its steering limit.
-        """
-        for i, wheel in enumerate(self.geometry.wheels):
-            distance = self._commands.angles[i] - self._angles[i]
-            if dt is None or not wheel.steered:
-                step = abs(distance)
-            else:
-                step = min(wheel.max_rate, abs(distance) / _STOPPING_TIME) * dt
-            self._angles[i] += min(max(distance, -step), step)
-
-    def feasible(self, twist: Twist) -> Twist:
-        return twist
-
-    def command(
-        self, twist: Twist, states: JointStates | None = None, dt: float | None = None
-    ) -> BaseCommand:
-        self._steer(states, dt)
-        joints = JointCommands(tuple(self._commands.speeds), tuple(self._angles))
-        return BaseCommand(joints, ZERO_TWIST, ZERO_TWIST, ZERO_TWIST, 1.0, ())
-
-    def stop(self, dt: float, measured: JointStates | None = None) -> BaseCommand:
-        """Goes on with the action, which no twist stops."""
-        return self.command(ZERO_TWIST, measured, dt)
-
-    def odometry(self, states: JointStates) -> TwistEstimate:
-        return self._odometer.odometry(states)
-
-    def reset(self, states: JointStates | None = None) -> None:
-        self._odometer.reset(states)
+        for (i, scale, _, _), value in zip(self.steered, values[len(self.driven) :], strict=True):
+            angles[i] = value * scale
+        return JointCommands(speeds, angles)
 
 
 SPEED_MARGIN = 1.5
@@ -268,7 +202,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     def __init__(
         self,
         model: Robot | Fleet | Scenario,
-        files: Path | str | Mapping[str, bytes],
+        files: Path | str | Mapping[str, bytes] | None = None,
         *,
         robot: str = "",
         action: str = "twist",
@@ -283,7 +217,8 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     ) -> None:
         """Loads the MuJoCo scene of the environment.
 
-        * ``files``: a build folder, or the outputs of the ``mjcf`` backend for the model.
+        * ``files``: a build folder, or the outputs of the ``mjcf`` backend for the model.  By
+          default they are generated.
         * ``robot``: name of the robot that the actions control.  By default, the actions control
           the first robot.  All other robots follow the script of the scenario.
         * ``action``: kind of the actions, ``twist`` or ``joints``.
@@ -306,26 +241,16 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         _check(action, rate, duration, spread, render_mode)
         self.render_mode = render_mode
         prepare_drawing(render_mode)
-        self.scenario = model if isinstance(model, Scenario) else None
-        fleet = model.fleet if isinstance(model, Scenario) else model
-        self.robots = (
-            {p.name: p.robot for p in fleet.placements}
-            if isinstance(fleet, Fleet)
-            else {fleet.name: fleet}
-        )
-        self.name = robot or next(iter(self.robots), "")
-        if self.name not in self.robots:
-            names = ", ".join(self.robots)
-            raise ValueError(f"there is no robot {self.name!r}; the robots are {names}")
-        self.robot = self.robots[self.name]
-        self.parameters = parameters
+        self.episode = Episode(model, files, parameters, robot=robot, scene=scene)
+        self.name = self.episode.name
+        self.robot = self.episode.robots[self.name]
         settings = Parameters.from_robot(self.robot, parameters).settings
-        self.scene = MujocoScene(files) if scene is None else scene
         self.reward = reward
         self.spread = tuple(spread)
         ticks = max(1, round(self.robot.driver.rate / rate))
         self.period = ticks / self.robot.driver.rate
-        default = self.scenario.duration if self.scenario is not None else DURATION
+        scenario = self.episode.scenario
+        default = scenario.duration if scenario is not None else DURATION
         self.duration = duration or default
         self.metadata = {**type(self).metadata, "render_fps": round(1.0 / self.period)}
         self._limits = (
@@ -337,17 +262,14 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self._joints = JointActions(self.robot)
         self.action_names, self.observation_names = _names(self.robot, action)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(self.action_names),), np.float32)
-        placements = fleet.placements if isinstance(fleet, Fleet) else ()
-        starts = {p.name: Pose2(*p.pose.xyz[:2], p.pose.rpy()[2]) for p in placements}
+        start = self.episode.starts[self.name]
         self._bounds = observation_bounds(
-            self.robot, self._joints, starts.get(self.name, ORIGIN), self.spread, self.duration
+            self.robot, self._joints, start, self.spread, self.duration
         )
         self.observation_space = gymnasium.spaces.Box(-self._bounds, self._bounds, dtype=np.float64)
-        self._bases: list[ScenarioBase] = []
-        self._loops: list[ControlLoop] = []
         self._steps = 0
         self._start: tuple[Array, Sample, int] | None = None
-        self._files, self._size = files, size
+        self._size = size
         self._drawing: _Drawing | None = None
 
     def reset(
@@ -356,23 +278,23 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         """Starts an episode and returns the first observation and ``info``.
 
         ``options["offset"]`` (x in m, y in m, yaw in rad) replaces the random offset of the start
-        pose.
+        pose.  Raises ``ValueError`` for another option.
         """
         super().reset(seed=seed)
+        for option in options or {}:
+            if option != "offset":
+                raise ValueError(f"there is no option {option!r} of `reset`, only 'offset'")
         random_offset = self.np_random.uniform(-1.0, 1.0, 3) * self.spread
         noise_seed = int(self.np_random.integers(2**31))
         offset = (options or {}).get("offset")
         x, y, yaw = offset if offset is not None else random_offset
-        self._release()
-        self.scene.reset()
-        self._loops = [self._control_loop(name, noise_seed) for name in self.robots]
-        loop = self._controlled
+        episode = self.episode
+        episode.begin(noise_seed)
+        loop = episode.loops[self.name]
         if x or y or yaw:
-            base = loop.base
-            if isinstance(base, MujocoBase):
-                base.place(base.true_pose().moved(Pose2(float(x), float(y), float(yaw))))
-                loop.start = loop.pose_true = base.true_pose()
-        self._collisions = CollisionCounter(self.scene, self.robots)
+            loop.place(loop.start.moved(Pose2(float(x), float(y), float(yaw))))
+        # The script of a scenario moves the other robots alone.
+        self._command(np.zeros(len(self.action_names)))
         self._steps = 0
         self._advance()
         return self._observation(), self._info("")
@@ -385,45 +307,34 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     def start_step(self, action: NDArray[np.float32]) -> None:
         """Commands an action, and starts the time of its step.
 
-        A step is ``start_step``, then ``finish_tick`` for each loop of ``start_tick``, then
-        ``finish_step``.  Between start and finish of a tick, the scenes of several environments can
-        advance together.
+        A step is ``start_step``, then ``episode.tick`` for each loop of ``due``, then
+        ``finish_step``.  Between the two, the scenes of several environments can advance together.
         """
         loop = self._controlled
         values = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
         if values.shape != self.action_space.shape or not np.isfinite(values).all():
             raise ValueError(f"an action must be {self.action_space.shape} finite numbers")
-        if self._action == "twist":
-            vx, vy, wz = (float(v) * limit for v, limit in zip(values, self._limits, strict=True))
-            loop.manoeuvre = (Segment(-math.inf, Twist(vx, vy, wz)),)
-        else:
-            self._joints.set(values)
-        self._start = values, loop.sample(), self._collisions.collisions[self.name]
+        self._command(values)
+        self._start = values, loop.sample(), self._collisions
         self._steps += 1
 
-    def start_tick(self) -> ControlLoop | None:
-        """Returns the control loop that ticks next, or ``None`` at the end of the step.
+    def _command(self, values: Array) -> None:
+        if self._action == "joints":
+            self.episode.command(self._joints.commands(values))
+        else:
+            limited = zip(values, self._limits, strict=True)
+            self.episode.command(Twist(*(float(value) * limit for value, limit in limited)))
 
-        The scene is then ready to advance until this tick.
-        """
-        loop = min(self._loops, key=lambda m: m.next_time)
-        if self.scene.diverged or loop.next_time > self._steps * self.period + 1e-9:
-            return None
-        if isinstance(loop.base, MujocoBase):
-            loop.base.change_scene(loop.next_time)
-        return loop
-
-    def finish_tick(self, loop: ControlLoop) -> None:
-        """Runs the scene until the next tick of a control loop, and runs this tick."""
-        loop.tick()
-        self._collisions.update()
+    def due(self) -> ControlLoop | None:
+        """Returns the control loop that ticks next, or ``None`` at the end of the step."""
+        return self.episode.due(self._steps * self.period)
 
     def finish_step(self) -> Step:
         """Returns the observation, the reward and the rest of the result of a step."""
         if self._start is None:
             raise DiagnosticError("simulation-scene", "the environment was not stepped")
         loop, (values, before, collisions) = self._controlled, self._start
-        cause = "diverged" if self.scene.diverged else "tipped" if loop.tipped else ""
+        cause = "diverged" if self.episode.diverged else "tipped" if loop.tipped else ""
         terminated = bool(cause)
         truncated = not terminated and self._steps * self.period > self.duration - 1e-9
         info = self._info(cause or ("time" if truncated else ""))
@@ -444,11 +355,13 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         if self.render_mode is None:
             return None
         if self._drawing is None:
-            self._drawing = _Drawing(self._files, self._size)
+            if self.episode.files is None:
+                raise DiagnosticError("simulation-scene", "the environment has no files to draw")
+            self._drawing = _Drawing(self.episode.files, self._size)
         return self._drawing.picture(self.scene)
 
     def close(self) -> None:
-        self._release()
+        self.episode.close()
         if self._drawing is not None:
             self._drawing.close()
             self._drawing = None
@@ -456,48 +369,27 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     # -- parts --------------------------------------------------------------------------
 
     @property
+    def scene(self) -> MujocoScene:
+        """The MuJoCo scene of the environment."""
+        if self.episode.scene is None:
+            raise DiagnosticError("simulation-scene", "the environment has no scene")
+        return self.episode.scene
+
+    @property
     def _controlled(self) -> ControlLoop:
         """The control loop of the robot that the actions control."""
-        for loop in self._loops:
-            if loop.name == self.name:
-                return loop
-        raise DiagnosticError("simulation-scene", "the environment was not reset")
+        if not self.episode.loops:
+            raise DiagnosticError("simulation-scene", "the environment was not reset")
+        return self.episode.loops[self.name]
 
-    def _control_loop(self, name: str, noise_seed: int) -> ControlLoop:
-        robot, scenario = self.robots[name], self.scenario
-        base: MujocoBase
-        manoeuvre: Manoeuvre = ()
-        if scenario is None:
-            base = MujocoBase(robot, self.scene)
-        else:
-            faults = [fault for fault in scenario.faults if fault.robot == name]
-            noise = replace(scenario.noise, seed=noise_seed)
-            zones = scenario.fleet.world.zones if scenario.fleet.world is not None else ()
-            base = ScenarioBase(
-                robot, self.scene, faults, noise, zones, open_loop=scenario.open_loop
-            )
-            self._bases.append(base)
-            for commanded_robot, commands in scenario.commands:
-                if commanded_robot == name:
-                    manoeuvre = tuple(Segment(c.time, Twist(c.vx, c.vy, c.wz)) for c in commands)
-        if name != self.name:
-            return ControlLoop(name, robot, base, manoeuvre)
-        loop = ControlLoop(name, robot, base, (), self.parameters)
-        if self._action == "joints":
-            self._joints.reset()
-            direct = DirectCommands(loop.driver.calculator, self._joints.commands)
-            loop.driver = BaseDriver(robot, base, direct, parameters=self.parameters)
-        return loop
+    @property
+    def _collisions(self) -> int:
+        collisions = self.episode.collisions
+        return 0 if collisions is None else collisions.collisions[self.name]
 
     def _advance(self) -> None:
         """Runs the control loops of all robots until the end of the step."""
-        while (loop := self.start_tick()) is not None:
-            self.finish_tick(loop)
-
-    def _release(self) -> None:
-        """Restores the values of the MuJoCo model that injected faults changed."""
-        while self._bases:
-            self._bases.pop().close()
+        self.episode.advance(self._steps * self.period)
 
     def _observation(self) -> Array:
         loop = self._controlled
@@ -518,7 +410,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             "true_pose": np.array(sample.pose_true),
             "true_twist": np.array(sample.true),
             "tilt": math.acos(max(-1.0, min(1.0, loop.uprightness))),
-            "collisions": self._collisions.collisions[self.name],
+            "collisions": self._collisions,
         }
         return {**info, "cause": cause} if cause else info
 

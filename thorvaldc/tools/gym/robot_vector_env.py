@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from gymnasium.vector import SyncVectorEnv
@@ -33,8 +33,6 @@ class _Environment(RobotEnv):
 
     ``is_over``: the episode has ended, or has not begun.
     """
-
-    scene: World
 
     is_over = True
 
@@ -120,10 +118,10 @@ class RobotVectorEnv(SyncVectorEnv):
             if not env.is_over:
                 env.start_step(action)
                 commanded.append(env)
-        while ticks := [(env, loop) for env in commanded if (loop := env.start_tick())]:
-            advance_all(self.physics, {env.scene: loop.next_time for env, loop in ticks})
+        while ticks := [(env, loop) for env in commanded if (loop := env.due())]:
+            advance_all(self.physics, {cast(World, e.scene): loop.next_time for e, loop in ticks})
             for env, loop in ticks:
-                env.finish_tick(loop)
+                env.episode.tick(loop)
         return super().step(actions)
 
 

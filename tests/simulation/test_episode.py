@@ -1,0 +1,207 @@
+"""Episodes: commands of a program, one control cycle after the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.robots import FOUR_STEERED, make_robot
+from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.diagnostics import DiagnosticError, Report
+from thorvaldc.model import Fleet, Pose, Robot
+from thorvaldc.model.fleet import Placement
+from thorvaldc.model.scenario import Scenario
+from thorvaldc.runtime.base_interface import JointCommands
+from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.se2 import Pose2, Twist
+from thorvaldc.simulation.control_loop import ControlLoop, Sample
+from thorvaldc.simulation.episode import Episode
+from thorvaldc.simulation.physics.sim_base import SimBase
+from thorvaldc.simulation.scenario_run import ScenarioSimulation
+from thorvaldc.simulation.simulation_run import Simulation
+
+pytest.importorskip("mujoco")
+EXAMPLES = Path(__file__).parents[2] / "examples"
+ROBOT = make_robot(FOUR_STEERED)
+OTHER = replace(ROBOT, wheels=tuple(replace(w, radius=0.8 * w.radius) for w in ROBOT.wheels))
+
+
+def scenario() -> Scenario:
+    compilation = compile_file(EXAMPLES / "odometry_experiment/ideal.yaml")
+    assert compilation.scenario is not None
+    return compilation.scenario
+
+
+def fleet(*names: str) -> Fleet:
+    placed = (Placement(n, Pose((0.0, 4.0 * k, 0.0)), ROBOT) for k, n in enumerate(names))
+    return Fleet("two", "", tuple(placed))
+
+
+@pytest.mark.parametrize("ideal", [False, True])
+def test_a_controller_of_the_program_closes_a_loop(ideal: bool) -> None:
+    goal = Pose2(1.5, 0.8, 0.0)
+    episode = Episode(ROBOT, ideal=ideal)
+    episode.reset()
+
+    def towards_the_goal(sample: Sample) -> Twist:
+        x, y, yaw = goal.relative_to(sample.pose_true)
+        return Twist(min(x, 0.5), min(y, 0.5), yaw)
+
+    sample = episode.run(8.0, towards_the_goal)
+    assert sample.time == pytest.approx(8.0)
+    assert sample.pose_true == pytest.approx(goal, abs=0.05)
+
+
+def test_each_step_is_one_control_cycle() -> None:
+    episode = Episode(ROBOT)
+    first = episode.reset()
+    samples = [episode.step(Twist(0.5, 0.0, 0.0)) for _ in range(100)]
+    period = 1.0 / ROBOT.driver.rate
+    assert [s.time for s in (first, *samples)] == pytest.approx([period * k for k in range(101)])
+    assert samples[-1].true.vx == pytest.approx(0.5, abs=0.02)
+    assert episode.step().limited.vx < 0.5  # without a command and a script: zero
+    assert episode.reset() == first
+
+
+def test_an_episode_of_a_scenario_plays_its_script() -> None:
+    mission = scenario()
+    played: list[Sample] = []
+    files = emit(mission.fleet, ["mjcf"])
+    simulation = ScenarioSimulation(mission, files)
+    simulation.play(Report(), on_tick=lambda loop: played.append(loop.sample()), hashed=False)
+    episode = Episode(mission)
+    episode.reset()
+    assert episode.run(20.0) == next(s for s in played if s.time > 20.0 - 1e-6)
+    driven = episode.step(Twist(0.0, 0.0, 0.0))
+    for _ in range(40):
+        driven = episode.step(Twist(0.0, 0.0, 0.0))
+    assert driven.limited == (0.0, 0.0, 0.0)
+
+
+def test_the_seed_of_an_episode_is_that_of_the_noise() -> None:
+    mission = scenario()
+    episode = Episode(replace(mission, noise=replace(mission.noise, wheel_speed=0.05)))
+    speeds = []
+    for seed in (1, 1, 2):
+        joints = episode.reset(seed).joints
+        assert joints is not None
+        speeds.append(joints.speeds)
+    assert speeds[0] == speeds[1] != speeds[2]
+
+
+def test_joint_commands_turn_the_wheels_that_they_name() -> None:
+    episode = Episode(ROBOT)
+    episode.reset()
+    n = len(ROBOT.wheels)
+    sample = episode.sample()
+    for _ in range(100):
+        sample = episode.step(JointCommands([2.0] * n, [0.3] * n))
+    assert sample.joints is not None
+    assert sample.joints.speeds == pytest.approx([2.0] * n, abs=0.1)
+    assert sample.joints.angles == pytest.approx([0.3] * n, abs=0.02)
+    for _ in range(100):  # and back to twists, from the angles that the joints have
+        sample = episode.step(Twist(0.2, 0.0, 0.0))
+    assert sample.true == pytest.approx((0.2, 0.0, 0.0), abs=0.02)
+    with pytest.raises(ValueError, match="4 finite speeds"):
+        episode.step(JointCommands([2.0], [0.3]))
+
+
+def test_commands_by_robot() -> None:
+    episode = Episode(fleet("left", "right"), robot="right")
+    episode.reset()
+    sample = episode.sample()
+    for _ in range(60):
+        sample = episode.step({"left": Twist(0.3, 0.0, 0.0), "right": None})
+    assert sample.true.vx == pytest.approx(0.0, abs=0.01)
+    assert episode.sample("left").true.vx == pytest.approx(0.3, abs=0.02)
+    with pytest.raises(ValueError, match="did you mean `left`"):
+        episode.step({"lefft": Twist(0.3, 0.0, 0.0)})
+
+
+def test_a_fleet_that_a_program_places_has_name_spaces() -> None:
+    assert [p.robot.namespace for p in fleet("a", "b").placements] == ["a", "b"]
+
+
+def test_an_episode_must_be_started() -> None:
+    with pytest.raises(DiagnosticError, match="reset it first"):
+        Episode(ROBOT, ideal=True).step(Twist(0.1, 0.0, 0.0))
+
+
+# -- a scene belongs to its model ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("other", [OTHER, make_robot(FOUR_STEERED[:2])])
+def test_the_files_of_another_model_are_an_error(other: Robot, tmp_path: Path) -> None:
+    files = emit(other, ["mjcf"])
+    for name, data in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(data)
+    for given in (files, tmp_path):
+        with pytest.raises(DiagnosticError, match="not those of") as caught:
+            Simulation(ROBOT, given)
+        assert caught.value.diagnostic.code.name == "simulation-scene"
+    assert Episode(tmp_path).robots == {other.name: other}  # the folder brings its own model
+
+
+def test_a_model_may_differ_in_what_its_scene_does_not_contain() -> None:
+    faster = replace(ROBOT, driver=replace(ROBOT.driver, max_linear_velocity=2.5))
+    Simulation(faster, emit(ROBOT, ["mjcf"]))
+
+
+# -- what was silent -------------------------------------------------------------------------------
+
+
+def test_a_function_of_each_tick_may_command_the_driver() -> None:
+    def command(loop: ControlLoop) -> None:
+        loop.driver.command(Twist(0.5, 0.0, 0.0), loop.driver.state.time)
+
+    run = Simulation(ROBOT, emit(ROBOT, ["mjcf"])).run(4.0, Twist(0.0, 0.0, 0.0), on_tick=command)
+    assert run.robots[0].path_true > 1.0
+
+
+def test_a_motion_of_an_unknown_robot_is_an_error() -> None:
+    with pytest.raises(ValueError, match=r"no robot `lefft`; did you mean `left`\?"):
+        Simulation(fleet("left", "right")).run(1.0, {"lefft": Twist(0.5, 0.0, 0.0)})
+
+
+def test_segments_in_the_wrong_order_are_an_error() -> None:
+    segments = [(1.0, Twist(0.5, 0.0, 0.0)), (0.0, Twist(0.1, 0.0, 0.0))]
+    with pytest.raises(DiagnosticError, match="from 0 s on follows one from 1 s on"):
+        Simulation(ROBOT).run(2.0, segments)
+
+
+@pytest.mark.parametrize("motion", [(0.5, 0.0, 0.0), [(0.0, (0.5, 0.0, 0.0))]])
+def test_plain_tuples_are_twists(motion: Sequence[float]) -> None:
+    run = Simulation(ROBOT).run(2.0, motion)
+    assert run.robots == Simulation(ROBOT).run(2.0, Twist(0.5, 0.0, 0.0)).robots
+    driver = BaseDriver(ROBOT, SimBase(ROBOT))
+    assert driver.command((0.5, 0.0, 0.0), 0.0)  # type: ignore[arg-type]
+    assert driver.tick(0.0).commanded_twist == (0.5, 0.0, 0.0)
+    episode = Episode(ROBOT, ideal=True)
+    episode.reset()
+    assert episode.step((0.5, 0.0, 0.0)).commanded == (0.5, 0.0, 0.0)
+    with pytest.raises(DiagnosticError, match="not a twist of 3 numbers"):
+        episode.run(1.0, lambda sample: (0.5, 0.0))
+
+
+def test_start_poses_can_be_set() -> None:
+    simulation = Simulation(ROBOT, emit(ROBOT, ["mjcf"]))
+    simulation.starts = {ROBOT.name: Pose2(2.0, -1.0, math.pi / 2)}
+    poses: list[Pose2] = []
+    simulation.run(2.0, (0.5, 0.0, 0.0), on_tick=lambda loop: poses.append(loop.sample().pose_true))
+    assert poses[0] == pytest.approx((2.0, -1.0, math.pi / 2), abs=0.01)
+    assert poses[-1].y > -0.5
+    simulation.starts = {"nobody": Pose2(0.0, 0.0, 0.0)}
+    with pytest.raises(ValueError, match="no robot `nobody`"):
+        simulation.run(2.0, (0.5, 0.0, 0.0))
+
+
+def test_a_simulation_of_a_scenario_can_be_run_with_another_motion() -> None:
+    mission = scenario()
+    simulation = ScenarioSimulation(mission, emit(mission.fleet, ["mjcf"]))
+    run = simulation.run(2.0, {"six": (0.5, 0.0, 0.0)})
+    assert run.robots[0].path_true > 0.4
