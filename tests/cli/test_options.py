@@ -1,10 +1,14 @@
-"""Times in options."""
+"""Options: times, and new values of a file."""
 
 from __future__ import annotations
+
+import json
+from pathlib import Path
 
 import pytest
 import typer
 
+from tests.cli.conftest import Command
 from thorvaldc.cli.options import parse_duration, parse_time
 
 
@@ -33,3 +37,22 @@ def test_the_longest_duration_is_a_day() -> None:
     assert parse_duration("2 s", "--interval", least=2.0) == 2.0
     with pytest.raises(typer.BadParameter, match="is not between 2 and"):
         parse_duration("1.99 s", "--interval", least=2.0)
+
+
+@pytest.mark.parametrize("command", ["check", "build", "sim"])
+def test_a_value_of_the_file_is_replaced(thorvaldc: Command, command: str) -> None:
+    more = {"build": ["-o", "out", "-t", "can"], "sim": ["--ideal", "--duration", "100 ms"]}
+    arguments = [command, "good.yaml", *more.get(command, [])]
+    values = ["--set", "driver.rate=20 Hz", "--set", "modules.battery.mount.xyz=[0, 0.2, 0.07]"]
+    assert thorvaldc(*arguments, *values).status == 0
+    wrong = thorvaldc(*arguments, "--set", "driver.rate=5 kg")
+    assert wrong.status == 1
+    assert "--set driver.rate" in wrong.out + wrong.err
+    assert "is not PATH=VALUE" in thorvaldc(*arguments, "--set", "driver.rate").err
+    if command == "build":
+        model = json.loads(Path("out/model.json").read_text())["model"]
+        assert model["driver"]["rate"] == 20.0
+        fresh = thorvaldc(*arguments, *values, "--check")
+        assert fresh.status == 0
+        stale = thorvaldc(*arguments, "--check")
+        assert stale.status == 1

@@ -8,7 +8,7 @@ import os
 import shlex
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
@@ -53,6 +53,7 @@ def check(
         ),
     ] = "text",
     strict: options.Strict = False,
+    settings: options.Settings = [],  # noqa: B006
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
     verbose: Annotated[
@@ -63,7 +64,8 @@ def check(
 
     if format != "badge":
         check_format(format)
-    folders = options.library_folders(library)
+    folders, values = options.library_folders(library), options.new_values(settings)
+    compile_one = partial(check_file, library=folders, set=values, trust=trust)
     output = DiagnosticOutput(format, sys.stdout)
     missing: dict[str, None] = {}
     text: Path | None = None
@@ -71,9 +73,9 @@ def check(
         results: Iterator[CheckedFile]
         if STANDARD_INPUT in files:  # which only this process has
             text = inputs.enter_context(_standard_input())
-            results = (check_file(file, folders, trust) for file in without_lock_files(files))
+            results = map(compile_one, without_lock_files(files))
         else:
-            results = check_files(list(without_lock_files(files)), folders, trust)
+            results = check_files(list(without_lock_files(files)), compile_one)
         for checked in results:
             if checked.file == STANDARD_INPUT and text is not None:
                 checked.sources[STANDARD_INPUT] = text
@@ -165,12 +167,14 @@ class CheckedFile(NamedTuple):
     missing_limits: tuple[str, ...]
 
 
-def check_file(file: str, library: Sequence[Path], trust: bool) -> CheckedFile:
+def check_file(
+    file: str, library: Sequence[Path], set: Mapping[str, object], trust: bool
+) -> CheckedFile:
     """Compiles a file; the parameters are those of ``compile_file``."""
     from thorvaldc.compiler.pipeline import compile_file
     from thorvaldc.compiler.sandbox import missing_limits
 
-    compilation = compile_file(file, library=library, trust=trust)
+    compilation = compile_file(file, library=library, set=set, trust=trust)
     model = compilation.model
     summary = "" if model is None else f"{model.name}, {_summary(model)}"
     return CheckedFile(
@@ -178,9 +182,11 @@ def check_file(file: str, library: Sequence[Path], trust: bool) -> CheckedFile:
     )
 
 
-def check_files(
-    files: Sequence[str], library: Sequence[Path], trust: bool
-) -> Iterator[CheckedFile]:
+Check = Callable[[str], CheckedFile]
+"""Compiles the file with this path."""
+
+
+def check_files(files: Sequence[str], check: Check) -> Iterator[CheckedFile]:
     """Yields the result of each file in the given order.
 
     ``FILES_OF_PROCESSES`` files or more are compiled in one process per processor.  If such a
@@ -192,7 +198,7 @@ def check_files(
         from concurrent.futures.process import BrokenProcessPool
 
         try:
-            for checked in _of_processes(files, library, trust):
+            for checked in _of_processes(files, check):
                 yield checked
                 number += 1
         except BrokenProcessPool:
@@ -203,18 +209,15 @@ def check_files(
 
             stack.enter_context(many_compilations())
         for file in files[number:]:
-            yield check_file(file, library, trust)
+            yield check(file)
 
 
-def _of_processes(
-    files: Sequence[str], library: Sequence[Path], trust: bool
-) -> Iterator[CheckedFile]:
+def _of_processes(files: Sequence[str], check: Check) -> Iterator[CheckedFile]:
     from thorvaldc.simulation.worker_processes import ignored_interrupts, processors, worker_pool
 
     count = processors()
     if count == 1:
         return
-    check = partial(check_file, library=library, trust=trust)
     yield check(files[0])  # which loads the modules of the compiler for all forked processes
     batch = min(20, 1 + len(files) // (8 * count))
     with worker_pool(count, _prepare, may_fork=True) as pool:
@@ -269,6 +272,7 @@ def build(
         ),
     ] = "",
     format: options.Format = "text",
+    settings: options.Settings = [],  # noqa: B006
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
     check: Annotated[
@@ -286,13 +290,13 @@ def build(
 
     check_format(format)
     targets = _parse_targets(target)
-    folders = options.library_folders(library)
+    folders, values = options.library_folders(library), options.new_values(settings)
     files = without_lock_files(files)
     shown = DiagnosticOutput(format, sys.stderr)
     builds: list[dict[str, Any]] = []
     file_by_folder: dict[str, str] = {}
     for file in files:
-        compilation = compile_file(file, library=folders, trust=trust)
+        compilation = compile_file(file, library=folders, set=values, trust=trust)
         contents = _emit(compilation, targets)
         model = compilation.model
         if model is None or compilation.report.has_errors:
@@ -312,7 +316,7 @@ def build(
                 contents,
                 folder,
                 file=file,
-                command=_command(file, target, output and str(folder), library, trust),
+                command=_command(file, target, output and str(folder), settings, library, trust),
                 version=__version__,
             )
             shown.add(compilation.report, compilation.sources)
@@ -386,12 +390,18 @@ def _write(
 
 
 def _command(
-    file: str, target: str | None, output: str, library: Sequence[str], trust: bool
+    file: str,
+    target: str | None,
+    output: str,
+    settings: Sequence[str],
+    library: Sequence[str],
+    trust: bool,
 ) -> str:
     """Returns the command that writes a build, for the hint of a build that is not fresh."""
     words = ["thorvaldc", "build", file]
     words += ["--target", target] if target else []
     words += ["-o", output] if output else []
+    words += [word for setting in settings for word in ("--set", setting)]
     words += [word for folder in library for word in ("--library", folder)]
     return shlex.join([*words, *(["--trust"] if trust else [])])
 

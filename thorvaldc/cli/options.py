@@ -204,6 +204,15 @@ Library = Annotated[
     list[str],
     typer.Option("--library", metavar="DIR", help="A folder with your modules; may be repeated."),
 ]
+Settings = Annotated[
+    list[str],
+    typer.Option(
+        "--set",
+        metavar="PATH=VALUE",
+        help="Replace a value of the file: driver.rate=100 Hz; may be repeated.",
+        show_default=False,
+    ),
+]
 Trust = Annotated[
     bool,
     typer.Option(
@@ -372,6 +381,15 @@ def check_physics(physics: str) -> None:
         raise typer.BadParameter(
             f"{physics!r} is neither ideal nor mujoco", param_hint="'--physics'"
         )
+
+
+def new_values(settings: Sequence[str]) -> dict[str, object]:
+    """Returns the values of the options ``--set`` by their paths, for ``compile_file``."""
+    if not settings:
+        return {}
+    from thorvaldc.compiler.source.overrides import parse_change
+
+    return dict(parsed(text, parse_change, "--set") for text in settings)
 
 
 def library_folders(names: Sequence[str], option: str = "'--library'") -> list[Path]:

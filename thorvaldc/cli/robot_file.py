@@ -13,14 +13,13 @@ import typer
 
 from thorvaldc.cli.diagnostic_output import message, report_of, show_report
 from thorvaldc.cli.exits import INPUT, OutsideError, is_runtime_only
-from thorvaldc.cli.options import library_folders
+from thorvaldc.cli.options import library_folders, new_values
 from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Bus, Fleet, Robot
 from thorvaldc.model.model_json import is_model_file, load_model
 
 if TYPE_CHECKING:  # the runtime package has no compiler and no simulation
     from thorvaldc.compiler.result import Compilation
-    from thorvaldc.compiler.scenario.variations import Change
     from thorvaldc.model.scenario import BusFault
     from thorvaldc.simulation.bus.simulated_robot import Memory, SimulatedRobot
     from thorvaldc.simulation.physics.mujoco_base import MujocoBase
@@ -113,14 +112,14 @@ def compile_and_show(
     file: str,
     library: Sequence[str],
     robot: str | None = None,
-    changes: Sequence[Change] = (),
+    settings: Sequence[str] = (),
     *,
     trust: bool,
 ) -> Compilation:
     """Compiles a robot or fleet file and prints its diagnostics on stderr.
 
     - ``robot``: path of a robot file that replaces the robot of a scenario.
-    - ``changes``: values that replace values of a scenario.
+    - ``settings``: options ``--set``, which replace values of the file.
     - ``trust``: whether xacro files are expanded without restrictions.
     """
     # The compiler is imported only when it is used, because the runtime package does not contain
@@ -128,7 +127,11 @@ def compile_and_show(
     from thorvaldc.compiler.pipeline import compile_file
 
     compilation = compile_file(
-        file, library=library_folders(library), robot=robot, changes=changes, trust=trust
+        file,
+        library=library_folders(library),
+        robot=robot,
+        set=new_values(settings),
+        trust=trust,
     )
     show_report(compilation.report, compilation.sources)
     return compilation

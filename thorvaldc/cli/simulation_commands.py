@@ -4,7 +4,6 @@ which runs a scenario and checks its expectations."""
 from __future__ import annotations
 
 import gc
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,7 +19,6 @@ from thorvaldc.diagnostics import DiagnosticError, Report
 if TYPE_CHECKING:
     from thorvaldc.cli.run_outputs import RunOutputs
     from thorvaldc.compiler.result import Compilation
-    from thorvaldc.compiler.scenario.variations import Change, Variations
     from thorvaldc.model import Fleet, Robot
     from thorvaldc.model.scenario import Scenario
     from thorvaldc.runtime.se2 import Twist
@@ -63,6 +61,7 @@ def sim(
     plot: options.Plot = "",
     video: options.Video = "",
     json: options.Json = False,
+    settings: options.Settings = [],  # noqa: B006
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
@@ -74,7 +73,7 @@ def sim(
     outputs = RunOutputs(plot, video, record, log, ideal=ideal)
     if sensors and not record.lower().endswith(".mcap"):
         raise typer.BadParameter("needs a --record OUT.mcap", param_hint="'--sensors'")
-    compilation = compile_and_show(file, library, trust=trust)
+    compilation = compile_and_show(file, library, None, settings, trust=trust)
     if compilation.model is None:
         return INPUT
     if compilation.scenario is not None:
@@ -101,15 +100,7 @@ def sim(
 def scenario(
     file: options.ScenarioFile,
     robot: options.ScenarioRobot = "",
-    settings: Annotated[
-        list[str],
-        typer.Option(
-            "--set",
-            metavar="PATH=VALUE",
-            help="Replace a value of the scenario: world.friction=0.3; may be repeated.",
-            show_default=False,
-        ),
-    ] = [],  # noqa: B006
+    settings: options.Settings = [],  # noqa: B006
     parameters: options.Parameters = "",
     junit: options.JUnit = "",
     record: options.Record = "",
@@ -122,19 +113,8 @@ def scenario(
 ) -> int:
     from thorvaldc.cli.run_outputs import RunOutputs
 
-    changes: Sequence[Change] = ()
-    if settings:
-        variations = plan_runs(file, settings, "", "", from_document=False)
-        if variations is None:
-            return INPUT
-        if variations.size != 1:
-            raise typer.BadParameter(
-                f"these are {variations.size} runs; `thorvaldc batch` runs them",
-                param_hint="'--set'",
-            )
-        changes = next(variations.runs())
     outputs = RunOutputs(plot, video, record, log)
-    compilation = compile_and_show(file, library, robot or None, changes, trust=trust)
+    compilation = compile_and_show(file, library, robot or None, settings, trust=trust)
     if compilation.model is None:
         return INPUT
     if compilation.scenario is None:
@@ -254,39 +234,3 @@ def _show(
     else:
         print_json(result.as_json())
     return show_report(compilation.located(report), compilation.sources)
-
-
-def plan_runs(
-    scenario: str, settings: Sequence[str], draws: str, seed: str, *, from_document: bool
-) -> Variations | None:
-    """Returns the variations of a scenario from the options ``--set``.
-
-    If ``from_document`` is true, the result includes the variations in the scenario file. If the
-    scenario file has errors, the function prints the errors and returns ``None``. Raises
-    ``typer.BadParameter`` if an option ``--set`` is wrong or no value of the scenario varies.
-    """
-    from thorvaldc.compiler.scenario.variations import plan_variations
-
-    for text in settings:
-        path, equals, _ = text.partition("=")
-        if not equals or not path.strip():
-            raise typer.BadParameter(f"{text!r} is not PATH=VALUES", param_hint="'--set'")
-    report = Report()
-    variations = plan_variations(
-        scenario,
-        settings,
-        options.parse_count(draws, "--draws", 1),
-        options.parse_count(seed, "--seed", 0),
-        from_document=from_document,
-        report=report,
-    )
-    if variations is None:
-        raise typer.BadParameter(f"{scenario} is no scenario", param_hint="'FILE'")
-    if report.has_errors:
-        show_report(report, {scenario: Path(scenario)})
-        return None
-    if not variations.varied and not (from_document and variations.draws > 1):
-        raise typer.BadParameter(
-            f"{scenario} has no `variations`; name values with --set", param_hint="'--variations'"
-        )
-    return variations

@@ -25,7 +25,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from thorvaldc.compiler.bus.assemble_buses import remembered_buses
 from thorvaldc.compiler.bus.bus_checks import check_sides
@@ -40,16 +39,13 @@ from thorvaldc.compiler.robot_settings.robot_sections import check_calculator, r
 from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
 from thorvaldc.compiler.source.input_file import FOLDERS, check_no_link_outside, missing_file_hint
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.overrides import Change, read_changes
 from thorvaldc.compiler.source.reader import MAX_BYTES, read_file
 from thorvaldc.diagnostics import Diagnostic, Report, Severity, Span
 from thorvaldc.diagnostics.files import read_bounded
 from thorvaldc.model import Fleet, Robot, robots_by_name
+from thorvaldc.schema import Kind, keys_of
 from thorvaldc.tool_folders import document_compiler
-
-# The import of scenarios takes several milliseconds.
-if TYPE_CHECKING:
-    from thorvaldc.compiler.scenario.variations import Change
-
 
 MODEL_FILE = "model.json"
 
@@ -59,7 +55,7 @@ def compile_file(
     *,
     library: Sequence[Path | str] = (),
     robot: Path | str | None = None,
-    changes: Sequence[Change] = (),
+    set: Mapping[str, object] | None = None,
     trust: bool = False,
 ) -> Compilation:
     """Compiles a robot, fleet or scenario file.
@@ -74,7 +70,8 @@ def compile_file(
     library : additional library folders with module types.
     robot : path of a robot or fleet file.  The robots of the file replace the robots of a
         scenario.
-    changes : new values for entries of a scenario document.
+    set : new values by their dotted paths, such as ``{"modules.frame.params.length": "1.3 m"}``.
+        In a fleet or scenario, a path that begins as in a robot file changes all robots.
     trust : whether xacro files are expanded without restrictions, as programs that the caller
         trusts.  A robot file cannot state this.
 
@@ -89,13 +86,21 @@ def compile_file(
         raise TypeError(f"library: expected a list of folders, got {library!r}")
     path = Path(path)
     source = SourceFile(path, path.name or str(path), path.parent)
-    compile_one = partial(_compile, library=[Path(folder) for folder in library], trust=trust)
+    changes = read_changes(set or {})
+    own = tuple(c for c in changes if source.kind == "robot" or not _is_of_robots(c, source.kind))
+    source.change(own)
+    compile_one = partial(
+        _compile,
+        library=[Path(folder) for folder in library],
+        trust=trust,
+        changes=tuple(c for c in changes if c not in own),
+    )
     with shared_mesh_workers():
         if source.kind == "scenario":
             # The module ``scenario_compilation`` is imported only for scenario files.
             from thorvaldc.compiler.scenario.scenario_compilation import compile_scenario
 
-            return compile_scenario(source, compile_one, robot, changes)
+            return compile_scenario(source, compile_one, robot)
         if source.kind not in ("robot", "fleet"):
             return _compile_document_of_tool(source, compile_one)
         return compile_one(source)
@@ -127,13 +132,23 @@ def _compile_document_of_tool(source: SourceFile, compile_one: Compile) -> Compi
     return compilation.complete(source, report)
 
 
-def _compile(source: SourceFile, library: Sequence[Path], trust: bool) -> Compilation:
-    """Compiles a robot or fleet file."""
+def _is_of_robots(change: Change, kind: Kind) -> bool:
+    """Returns whether a change in a fleet or scenario is one of its robot files."""
+    key = change.path.partition(".")[0]
+    return key not in keys_of(kind) and key in keys_of("robot")
+
+
+def _compile(
+    source: SourceFile, library: Sequence[Path], trust: bool, changes: tuple[Change, ...]
+) -> Compilation:
+    """Compiles a robot or fleet file; ``changes`` are those of its robots."""
     if source.kind == "fleet":
         # The module ``fleet_compilation`` is imported only for fleet files.
         from thorvaldc.compiler.scenario.fleet_compilation import compile_fleet
 
-        return compile_fleet(source, partial(_compile, library=library, trust=trust))
+        compile_one = partial(_compile, library=library, trust=trust, changes=changes)
+        return compile_fleet(source, compile_one)
+    source.change(changes)
     return compile_robot(source, library, trust)
 
 
@@ -339,7 +354,13 @@ class CompileError(Exception):
         return tuple(d for d in self.diagnostics if d.severity is Severity.ERROR)
 
 
-def load(path: Path | str, *, library: Sequence[Path | str] = (), trust: bool = False) -> Robot:
+def load(
+    path: Path | str,
+    *,
+    library: Sequence[Path | str] = (),
+    set: Mapping[str, object] | None = None,
+    trust: bool = False,
+) -> Robot:
     """Returns the robot of a robot.yaml, or of the ``model.json`` of a build.
 
     All values of the robot are in SI units, and poses are in the frames that the class names; a
@@ -351,6 +372,7 @@ def load(path: Path | str, *, library: Sequence[Path | str] = (), trust: bool = 
     path : path of the file.
     library : folders with module types, beside the project's library and the folders that the
         file names.
+    set : new values by their dotted paths, see ``compile``.
     trust : whether xacro files are expanded without restrictions, as programs that the caller
         trusts.
 
@@ -364,14 +386,18 @@ def load(path: Path | str, *, library: Sequence[Path | str] = (), trust: bool = 
     >>> robot.wheels[0].radius
     0.2
     """
-    model = _load(path, library, trust)
+    model = _load(path, library, set, trust)
     if not isinstance(model, Robot):
         raise _other_model(path, "a fleet", "a robot", "thorvaldc.load_fleet")
     return model
 
 
 def load_fleet(
-    path: Path | str, *, library: Sequence[Path | str] = (), trust: bool = False
+    path: Path | str,
+    *,
+    library: Sequence[Path | str] = (),
+    set: Mapping[str, object] | None = None,
+    trust: bool = False,
 ) -> Fleet:
     """Returns the fleet of a fleet or scenario file, or of the ``model.json`` of a build.
 
@@ -382,6 +408,7 @@ def load_fleet(
     path : path of the file.
     library : folders with module types, beside the project's library and the folders that the
         files name.
+    set : new values by their dotted paths, see ``compile``.
     trust : whether xacro files are expanded without restrictions.
 
     Raises ``CompileError`` with all errors of the file and of its robots.  A file with a single
@@ -394,23 +421,30 @@ def load_fleet(
     >>> [placement.name for placement in fleet.placements]
     ['tall', 'slim', 'wide', 'six']
     """
-    model = _load(path, library, trust)
+    model = _load(path, library, set, trust)
     if not isinstance(model, Fleet):
         raise _other_model(path, "a robot", "a fleet", "thorvaldc.load")
     return model
 
 
-def _load(path: Path | str, library: Sequence[Path | str], trust: bool) -> Robot | Fleet:
+def _load(
+    path: Path | str,
+    library: Sequence[Path | str],
+    set: Mapping[str, object] | None,
+    trust: bool,
+) -> Robot | Fleet:
     from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.model.model_json import is_model_file, load_model
 
     path = Path(path)
     if is_model_file(path) or path.name == MODEL_FILE:
+        if set:
+            raise ValueError(f"{path} is a compiled model; change the values of its robot file")
         try:
             return load_model(path)
         except DiagnosticError as error:
             raise _compile_error([error.diagnostic], {}) from error
-    compilation = compile_file(path, library=library, trust=trust)
+    compilation = compile_file(path, library=library, set=set, trust=trust)
     if compilation.model is None:
         raise _compile_error(compilation.report, compilation.sources)
     return compilation.model

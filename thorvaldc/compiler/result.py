@@ -30,6 +30,7 @@ from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.modules.mounting import MountingPort, mounting_ports
 from thorvaldc.compiler.source.input_file import unsaved_text
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.overrides import SETTING, Change, with_changes
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation import document_check
 from thorvaldc.diagnostics import (
@@ -51,8 +52,6 @@ from thorvaldc.schema import Kind
 if TYPE_CHECKING:
     from thorvaldc.model.scenario import Scenario
 
-SETTING = "--set "
-"""A span of a ``--set`` option of the command line has a file name with this prefix."""
 SECTION = "accept"
 _LATER = "68"
 """First digits of codes that commands after the compilation report: backends and simulation."""
@@ -89,6 +88,7 @@ class SourceFile:
         robot, fleet or scenario document.
     kind : kind of the document: ``robot``, ``fleet``, ``scenario`` or ``study``.
     shape : errors of the document against the schema, and errors of reading the file.
+    changes : values that replace those of the file.
     """
 
     def __init__(self, path: Path, name: str, folder: Path) -> None:
@@ -102,6 +102,7 @@ class SourceFile:
             if document is None or document_check.report_wrong_kind(document, self.shape)
             else document
         )
+        self.changes: tuple[Change, ...] = ()
         self.kind: Kind = "robot"
         if document_check.is_study(self.document):
             self.kind = "study"
@@ -109,6 +110,12 @@ class SourceFile:
             self.kind = "scenario"
         elif document_check.is_fleet(self.document):
             self.kind = "fleet"
+
+    def change(self, changes: tuple[Change, ...]) -> None:
+        """Replaces values of the document."""
+        if self.document is not None and changes:
+            self.changes = changes
+            self.document = with_changes(self.document, changes, self.shape)
 
     def check_shape(self, document: Node) -> Node:
         """Checks a document against the schema and returns the valid part of the document.
@@ -235,7 +242,8 @@ class Compilation:
             self.locks.update(part.locks)
             self.instances.update(part.instances)
         if source.document is not None:
-            self.source_sha256 = self._hash_sources(parts, lock_file)
+            texts = (lock_file, *(f"\0{c.path}={c.text}" for c in source.changes))
+            self.source_sha256 = self._hash_sources(parts, "".join(texts))
         own, invalid = self.acceptances, Report()
         if source.document is not None:
             own = [*read_acceptances(source.document, invalid), *own]
@@ -259,12 +267,12 @@ class Compilation:
             self.locks.clear()
         return self
 
-    def _hash_sources(self, parts: dict[str, Compilation], lock_file: str) -> str:
-        """Computes the SHA-256 of the names and contents of all input files (hexadecimal).
+    def _hash_sources(self, parts: dict[str, Compilation], more: str) -> str:
+        """Computes the SHA-256 of a text ``more`` and the names and contents of all input files.
 
         Reports an error if an input file was removed since it was read.
         """
-        digest = hashlib.sha256(lock_file.encode())
+        digest = hashlib.sha256(more.encode())
         for name in sorted(parts):
             digest.update(f"{name}\0{parts[name].source_sha256}\0".encode())
         for name in sorted(self.files):

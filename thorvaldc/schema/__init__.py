@@ -10,6 +10,7 @@ import functools
 import json
 import re
 import typing
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, Literal
 
@@ -42,6 +43,12 @@ def _load(name: str) -> dict[str, Any]:
     text = Path(__file__).with_name(f"{name}.schema.json").read_text(encoding="utf-8")
     loaded: dict[str, Any] = json.loads(text)
     return loaded
+
+
+def keys_of(kind: Kind) -> Collection[str]:
+    """Returns the keys of the mapping that a document is."""
+    keys: dict[str, Any] = _load(kind)["properties"]
+    return keys
 
 
 def bundle(kind: str) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from thorvaldc.compiler.scenario import fleet_compilation, world_reader
 from thorvaldc.compiler.scenario import variations as varying
 from thorvaldc.compiler.source.input_file import LOGS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.overrides import with_changes
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.compiler.values.value_reader import ValueReader
@@ -42,7 +43,6 @@ def compile_scenario(
     source: SourceFile,
     compile_part: Compile,
     robot: Path | str | None,
-    changes: Sequence[varying.Change],
 ) -> Compilation:
     """Compiles a scenario file.
 
@@ -52,16 +52,13 @@ def compile_scenario(
     compile_part : function that compiles the robot and fleet files that the scenario names.
     robot : path of a robot or fleet file.  The robots of the file replace the robots of the
         scenario.
-    changes : new values for entries of the scenario document.
     """
     compilation, report = Compilation.of(source), Report()
     parts: dict[str, Compilation] = {}
     document = source.document
     if document is not None:
-        if changes:
-            document = varying.without_variations(
-                varying.with_changes(document, changes, source.shape)
-            )
+        if source.changes:
+            document = varying.without_variations(document)
         checked = source.check_shape(document)
         section = read_document(checked, "scenario", ValueReader(report))
         fleet = _read_robots(section, source, compile_part, report, parts, robot)
@@ -222,7 +219,7 @@ def _check_variations(document: Node, fleet: Fleet, report: Report) -> None:
             # another robot.
             continue
         shape, content = Report(), Report()
-        varied = varying.without_variations(varying.with_changes(document, [change], content))
+        varied = varying.without_variations(with_changes(document, [change], content))
         check(varied, "scenario", shape)
         checked = without_invalid_values(varied, shape)
         _read(read_document(checked, "scenario", ValueReader(content)), fleet, content)

@@ -7,16 +7,14 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import json
 import random
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
-from thorvaldc.compiler.result import SETTING
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.overrides import SETTING, Change, with_changes, with_span
 from thorvaldc.compiler.source.reader import read_file, read_text
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.value_reader import entries
@@ -29,26 +27,6 @@ NOISE_SEED = "noise.seed"
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*([^\d\s.][^.]*?)?\s*", re.ASCII)
 _RANGE = re.compile(rf"(\s*{_NUMBER}[^.]*?)\.\.({_NUMBER}.*)", re.ASCII)
-
-
-class Change(NamedTuple):
-    """A new value for one entry of a scenario document.
-
-    ``path`` is the dotted path of the entry in the scenario document.  ``value`` is the new value
-    of the entry in the scenario document.  ``value.where`` is the source span of the path, for
-    diagnostics.
-    """
-
-    path: str
-    value: Node
-
-    @property
-    def text(self) -> str:
-        """Text of the new value, for a table of the runs."""
-        plain = self.value.plain()
-        if isinstance(plain, str):
-            return plain
-        return json.dumps(plain, separators=(", ", ": "), ensure_ascii=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,20 +202,7 @@ def _read_setting(path: str, text: str, report: Report) -> VariedPath | None:
             hint="separate values by commas, or write a range such as 0.3..0.9",
         )
         return None
-    return VariedPath(path, tuple(_with_span(value, span) for value in values), span=span)
-
-
-def _with_span(node: Node, span: Span) -> Node:
-    """Returns a copy of a YAML node in which every value has the same source span.
-
-    Values from the command line have no line number in a file.
-    """
-    value = node.value
-    if isinstance(value, dict):
-        value = {key: _with_span(entry, span) for key, entry in value.items()}
-    elif isinstance(value, tuple):
-        value = tuple(_with_span(element, span) for element in value)
-    return Node(value, span, span, node.quoted)
+    return VariedPath(path, tuple(with_span(value, span) for value in values), span=span)
 
 
 def read_range(path: str, low: str, high: str, span: Span, report: Report) -> VariedPath | None:
@@ -284,50 +249,12 @@ def _integer(node: Node | None, key: str, default: int) -> int:
     return entry.value if entry is not None and isinstance(entry.value, int) else default
 
 
-def with_changes(document: Node, changes: Sequence[Change], report: Report) -> Node:
-    """Returns the scenario document with the changed values.
-
-    Missing mappings on the path of a changed value are added.
-    """
-    for change in changes:
-        document = _with_change(document, change.path.split("."), change, report)
-    return document
-
-
 def without_variations(document: Node) -> Node:
     """Returns the scenario document without the section ``variations``."""
     if not isinstance(document.value, dict):
         return document
     rest = {key: node for key, node in document.value.items() if key != "variations"}
     return document._replace(value=rest)
-
-
-def _with_change(node: Node, keys: Sequence[str], change: Change, report: Report) -> Node:
-    """Returns a copy of a YAML node with one changed value.
-
-    ``keys``: mapping keys and list indices that lead from the YAML node to the changed value.
-    """
-    if not keys:
-        return change.value
-    key, value = keys[0], node.value
-    if isinstance(value, dict):
-        entry = value.get(key, Node({}, change.value.span, change.value.where))
-        return node._replace(value={**value, key: _with_change(entry, keys[1:], change, report)})
-    if isinstance(value, tuple) and key.isascii() and key.isdigit() and int(key) < len(value):
-        index = int(key)
-        element = _with_change(value[index], keys[1:], change, report)
-        return node._replace(value=(*value[:index], element, *value[index + 1 :]))
-    container, hint = "a single value", None
-    if isinstance(value, tuple):
-        container = f"a list of {len(value)}"
-        hint = f"its elements are 0 to {len(value) - 1}" if value else None
-    report.add(
-        "variation-path",
-        f"`{change.path}` does not exist: there is no `{key}` in {container}",
-        change.value.where,
-        hint=hint,
-    )
-    return node
 
 
 def plan_variations(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,9 +11,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thorvaldc.cli import options
+from thorvaldc.cli.diagnostic_output import message, show_report, table_width
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError, write_errors
+from thorvaldc.diagnostics import Report
 
 if TYPE_CHECKING:
+    from thorvaldc.compiler.scenario.variations import Variations
     from thorvaldc.tools.batch.scenario_batch import Batch, ResultFile, Run
 
 SHOWN_FAILURES = 10
@@ -56,12 +60,10 @@ def batch(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output
-    from thorvaldc.cli.simulation_commands import plan_runs
     from thorvaldc.simulation.worker_processes import processors
     from thorvaldc.tools.batch import scenario_batch
 
-    planned = plan_runs(file, settings, draws, seed, from_document=variations or not settings)
+    planned = _plan_runs(file, settings, draws, seed, from_document=variations or not settings)
     if planned is None:
         return INPUT
     gc.enable()
@@ -73,17 +75,17 @@ def batch(
     )
     failed_compilation = planned_batch.check()
     if failed_compilation is not None:
-        return diagnostic_output.show_report(failed_compilation.report, failed_compilation.sources)
+        return show_report(failed_compilation.report, failed_compilation.sources)
     with write_errors(output):
         result_file = scenario_batch.ResultFile(Path(output)) if output else None
     runs = _collect_runs(planned_batch, process_count, result_file, json)
     failed_runs = [run for run in runs if run.errors]
     for run in failed_runs[:SHOWN_FAILURES]:
         for text in run.errors:
-            diagnostic_output.message(f"run {run.number}: {text}")
+            message(f"run {run.number}: {text}")
     hidden = len(failed_runs) - SHOWN_FAILURES
     if hidden > 0:
-        diagnostic_output.message(f"and {hidden} more {'run' if hidden == 1 else 'runs'}")
+        message(f"and {hidden} more {'run' if hidden == 1 else 'runs'}")
     return DONE if all(run.passed for run in runs) else INPUT
 
 
@@ -95,7 +97,6 @@ def _collect_runs(
     If an exception occurs, also Ctrl-C, the results of the completed runs are still printed and
     written.
     """
-    from thorvaldc.cli import diagnostic_output
     from thorvaldc.cli.diagnostic_output import Progress
     from thorvaldc.tools.batch import scenario_batch
 
@@ -119,7 +120,43 @@ def _collect_runs(
             if json:
                 print(scenario_batch.runs_as_json(runs))
             elif runs:
-                print(scenario_batch.results_table(runs, diagnostic_output.table_width()))
+                print(scenario_batch.results_table(runs, table_width()))
             if len(runs) < len(batch):
-                diagnostic_output.message(f"{len(runs)} of {len(batch)} runs are done")
+                message(f"{len(runs)} of {len(batch)} runs are done")
     return runs
+
+
+def _plan_runs(
+    scenario: str, settings: Sequence[str], draws: str, seed: str, *, from_document: bool
+) -> Variations | None:
+    """Returns the variations of a scenario from the options ``--set``.
+
+    If ``from_document`` is true, the result includes the variations in the scenario file. If the
+    scenario file has errors, the function prints the errors and returns ``None``. Raises
+    ``typer.BadParameter`` if an option ``--set`` is wrong or no value of the scenario varies.
+    """
+    from thorvaldc.compiler.scenario.variations import plan_variations
+
+    for text in settings:
+        path, equals, _ = text.partition("=")
+        if not equals or not path.strip():
+            raise typer.BadParameter(f"{text!r} is not PATH=VALUES", param_hint="'--set'")
+    report = Report()
+    variations = plan_variations(
+        scenario,
+        settings,
+        options.parse_count(draws, "--draws", 1),
+        options.parse_count(seed, "--seed", 0),
+        from_document=from_document,
+        report=report,
+    )
+    if variations is None:
+        raise typer.BadParameter(f"{scenario} is no scenario", param_hint="'FILE'")
+    if report.has_errors:
+        show_report(report, {scenario: Path(scenario)})
+        return None
+    if not variations.varied and not (from_document and variations.draws > 1):
+        raise typer.BadParameter(
+            f"{scenario} has no `variations`; name values with --set", param_hint="'--variations'"
+        )
+    return variations

@@ -20,7 +20,8 @@ from thorvaldc.backends.mjcf import simulation_files
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.compiler.scenario.scenario_compilation import metric_units
-from thorvaldc.compiler.scenario.variations import Change, Variations
+from thorvaldc.compiler.scenario.variations import Variations
+from thorvaldc.compiler.source.overrides import Change
 from thorvaldc.diagnostics import files
 from thorvaldc.diagnostics.files import finite
 from thorvaldc.diagnostics.text_layout import text_table
@@ -137,7 +138,11 @@ class _Job:
 
     def compile(self, changes: tuple[Change, ...]) -> Compilation:
         return compile_file(
-            self.scenario, library=self.library, robot=self.robot, changes=changes, trust=self.trust
+            self.scenario,
+            library=self.library,
+            robot=self.robot,
+            set=dict(changes),
+            trust=self.trust,
         )
 
     def __call__(self) -> Run:

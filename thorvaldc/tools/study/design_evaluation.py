@@ -147,7 +147,7 @@ class DesignEvaluator:
         from thorvaldc.simulation.scenario_run import ScenarioSimulation
 
         source = SourceFile(path, path.name, path.parent)
-        compilation = compile_scenario(source, lambda part: robot, self.study.robot, ())
+        compilation = compile_scenario(source, lambda part: robot, self.study.robot)
         if compilation.scenario is None:
             _set_error(row, compilation.report.errors[0])
             return False

@@ -273,7 +273,7 @@ class _StudyReader:
             if opened is None:
                 continue
             parts[opened.name] = compile_scenario(
-                opened, lambda part: silent, self.robot_source.path, ()
+                opened, lambda part: silent, self.robot_source.path
             )
             yield name, opened.path
 

@@ -1,0 +1,120 @@
+"""New values for entries of a document, by their dotted paths: ``modules.frame.params.width``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.reader import read_text
+from thorvaldc.diagnostics import Report, Span
+
+SETTING = "--set "
+"""A span of a new value has a file name with this prefix, as in the option ``--set``."""
+
+
+class Change(NamedTuple):
+    """A new value for one entry of a document.
+
+    ``path`` is the dotted path of the entry in the document.  ``value`` is the new value of the
+    entry.  ``value.where`` is the source span of the path, for diagnostics.
+    """
+
+    path: str
+    value: Node
+
+    @property
+    def text(self) -> str:
+        """Text of the new value, for a table of the runs."""
+        plain = self.value.plain()
+        if isinstance(plain, str):
+            return plain
+        return json.dumps(plain, separators=(", ", ": "), ensure_ascii=False)
+
+
+def read_changes(values: Mapping[str, object]) -> tuple[Change, ...]:
+    """Returns values of Python by their dotted paths as changes of a document.
+
+    A value is a text with a unit, a number, a truth value, a list, a mapping, or a ``Node``.
+    Raises ``TypeError`` for another value.
+    """
+    return tuple(
+        Change(path, value if isinstance(value, Node) else _node(value, Span(SETTING + path)))
+        for path, value in values.items()
+    )
+
+
+def parse_change(text: str) -> Change:
+    """Reads a text ``PATH=VALUE``, in which the value is YAML.
+
+    Raises ``ValueError``.
+    """
+    path, equals, value = text.partition("=")
+    path, report = path.strip(), Report()
+    span = Span(SETTING + path)
+    node = read_text(value.encode(), span.file, report) if equals and path else None
+    if node is None or report.has_errors:
+        raise ValueError(f"{text!r} is not PATH=VALUE, such as driver.rate=100 Hz")
+    return Change(path, with_span(node, span))
+
+
+def with_span(node: Node, span: Span) -> Node:
+    """Returns a copy of a YAML node in which every value has the same source span.
+
+    Values from the command line have no line number in a file.
+    """
+    value = node.value
+    if isinstance(value, dict):
+        value = {key: with_span(entry, span) for key, entry in value.items()}
+    elif isinstance(value, tuple):
+        value = tuple(with_span(element, span) for element in value)
+    return Node(value, span, span, node.quoted)
+
+
+def _node(value: object, span: Span) -> Node:
+    if isinstance(value, Mapping):
+        return Node({str(k): _node(v, span) for k, v in value.items()}, span, span)
+    if isinstance(value, (list, tuple)):
+        return Node(tuple(_node(item, span) for item in value), span, span)
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return Node(value, span, span)
+    raise TypeError(f"{span.file}: expected a text, a number, a list or a mapping, got {value!r}")
+
+
+def with_changes(document: Node, changes: Sequence[Change], report: Report) -> Node:
+    """Returns the document with the changed values.
+
+    Missing mappings on the path of a changed value are added.
+    """
+    for change in changes:
+        document = _with_change(document, change.path.split("."), change, report)
+    return document
+
+
+def _with_change(node: Node, keys: Sequence[str], change: Change, report: Report) -> Node:
+    """Returns a copy of a YAML node with one changed value.
+
+    ``keys``: mapping keys and list indices that lead from the YAML node to the changed value.
+    """
+    if not keys:
+        return change.value
+    key, value = keys[0], node.value
+    if isinstance(value, dict):
+        entry = value.get(key, Node({}, change.value.span, change.value.where))
+        return node._replace(value={**value, key: _with_change(entry, keys[1:], change, report)})
+    if isinstance(value, tuple) and key.isascii() and key.isdigit() and int(key) < len(value):
+        index = int(key)
+        element = _with_change(value[index], keys[1:], change, report)
+        return node._replace(value=(*value[:index], element, *value[index + 1 :]))
+    container, hint = "a single value", None
+    if isinstance(value, tuple):
+        container = f"a list of {len(value)}"
+        hint = f"its elements are 0 to {len(value) - 1}" if value else None
+    report.add(
+        "variation-path",
+        f"`{change.path}` does not exist: there is no `{key}` in {container}",
+        change.value.where,
+        hint=hint,
+    )
+    return node
