@@ -184,8 +184,11 @@ class Permission:
 
     def sends_late_zero(self, source: str, now: float) -> None:
         """Notes a zero twist that may wait behind a flood of motions, which count first."""
-        self.sources[source].awaits_zero = self.zero_first = False
-        self.sources[source].attempt = now
+        entry = self.sources[source]
+        entry.awaits_zero = self.zero_first = False
+        entry.attempt = now
+        if not entry.is_fresh(now):
+            entry.twist, entry.time = ZERO_TWIST, now
 
     def calls(self, client: str, service: str, arguments: dict[str, object], now: float) -> None:
         if service == "arm" and self.armed and not self.must_reset:
