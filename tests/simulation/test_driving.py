@@ -57,7 +57,7 @@ def drive(name: str, twist: Twist, seconds: float) -> RobotResult:
 
 
 def fast(name: str) -> float:
-    _, robot = simulation(name).robots[0]
+    (robot,) = simulation(name).robots.values()
     return min(1.0, 0.8 * robot.driver.max_linear_velocity)
 
 

@@ -151,7 +151,7 @@ def test_geodetic_coordinates_read_back(position: tuple[float, ...]) -> None:
 
 def test_a_fix_is_the_place_of_the_antenna(tmp_path: Path) -> None:
     run = simulation(tmp_path)
-    base = MujocoBase(run.robots[0][1], run.scene)
+    base = MujocoBase(next(iter(run.robots.values())), run.scene)
     base.place(Pose2(10.0, -4.0, 0.7))
     run.sensors[GNSS].seen.update()
     fix = run.sensors[GNSS].measure()[0]

@@ -51,7 +51,7 @@ def circle(origin: Any, direction: Any, centre: Any, radius: float) -> float:
 @pytest.mark.parametrize("start", [(0.0, 0.0, 0.0), (0.4, -0.3, 0.5), (-0.2, 0.4, -2.0)])
 def test_distances_to_wall_post_and_ball(tmp_path: Path, start: tuple[float, ...]) -> None:
     run = simulation(tmp_path, WALLS)
-    base = MujocoBase(run.robots[0][1], run.scene)
+    base = MujocoBase(next(iter(run.robots.values())), run.scene)
     base.place(Pose2(*start))
     origin, directions, distances = rays(run.sensors, "rover/lidar")
     hits = 0
@@ -132,7 +132,7 @@ def test_points_of_rough_ground_lie_on_its_triangles(tmp_path: Path) -> None:
 
 def test_a_lidar_sees_other_robots_and_not_its_own(tmp_path: Path) -> None:
     run = simulation(tmp_path, modules=SENSORS + CLOUD)
-    robots = [run.robots[0][1]]
+    robots = [*run.robots.values()]
     images = SensorSettings(images=True)  # a scene with visual shapes
     suite = SensorSuite(run.scene, emit(run.scenario.fleet, ["mjcf"]), robots, images)
     for name in ("rover/lidar", "rover/tower"):
