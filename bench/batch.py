@@ -12,11 +12,11 @@ from tempfile import TemporaryDirectory
 
 from bench.figure import EXAMPLE, ROOT, Figure, processor_time, python
 from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.compiler.scenario.variations import plan_variations
+from thorvaldc.compiler.source.overrides import parse_choices
 from thorvaldc.diagnostics import Report
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
+from thorvaldc.simulation.scenario_sweep import Sweep
 from thorvaldc.simulation.worker_processes import processors
-from thorvaldc.tools.batch.scenario_batch import Batch
 
 SCENARIO = ROOT / "examples" / "scenarios" / "field_edge.yaml"
 RUNS, SECONDS = 48, 20
@@ -25,7 +25,6 @@ scenario: many
 robots: {{cart: {{robot: {EXAMPLE}}}}}
 duration: {SECONDS} s
 script: [{{at: 0, vx: 0.8 m/s, wz: 0.2 rad/s}}]
-variations: {{vary: {{world.friction: {{min: 0.5, max: 1.0}}}}, draws: {RUNS}}}
 """
 
 
@@ -65,18 +64,17 @@ def _repeats() -> Figure:
 
 
 def _processes(path: Path) -> Iterator[Figure]:
-    variations = plan_variations(path, report=Report())
-    if variations is None:
-        raise SystemExit(f"{path} is no scenario")
+    frictions = ",".join(f"{0.5 + 0.5 * k / RUNS:.3f}" for k in range(RUNS))
+    sweep = Sweep(path, dict([parse_choices(f"world.friction={frictions}")]))
     hashes, rates, work = set(), [], []
     for jobs in dict.fromkeys((1, processors())):
         started, before = time.perf_counter(), processor_time()
-        runs = sorted(Batch(path, variations).runs(jobs), key=lambda run: run.number)
+        runs = sorted(sweep.runs(jobs), key=lambda run: run.number)
         rates.append(RUNS * SECONDS / (time.perf_counter() - started))
         work.append(processor_time() - before)
         hashes.add(tuple(run.result["hash"] if run.result else "" for run in runs))
     yield Figure(
-        "results of one batch",
+        "results of one sweep",
         len(hashes),
         "",
         1,
@@ -84,7 +82,7 @@ def _processes(path: Path) -> Iterator[Figure]:
         f"different lists of hashes of {RUNS} runs in one process and over all processors",
     )
     yield Figure(
-        "batch over processes",
+        "sweep over processes",
         rates[-1],
         "s/s",
         None,

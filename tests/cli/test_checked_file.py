@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ from tests.child_process import ChildProcess
 from tests.cli.conftest import BAD, GOOD, Command
 from tests.slow import mostly_slow
 from thorvaldc.cli import file_commands
-from thorvaldc.cli.file_commands import CheckedFile, check_file, check_files
+from thorvaldc.cli.file_commands import Check, CheckedFile, check_file, check_files
 from thorvaldc.simulation import worker_processes
 
 ROOT = Path(__file__).parents[2]
@@ -27,6 +28,8 @@ description: A frame without a box.
 links:
   base: {box: {size: [1 m, 1 m, 0.1 m], mass: 10 kg}, unknown: 1}
 """
+
+CHECK = partial(check_file, library=[], set={}, trust=False)
 
 
 @pytest.fixture
@@ -87,21 +90,21 @@ def test_the_files_share_no_diagnostics(thorvaldc: Command, files: list[str]) ->
         Path(f"{name}.yaml").write_text(BAD, encoding="utf-8")
         Path(f"{name}.own.yaml").write_bytes(Path("own/robot.yaml").read_bytes())
     many = ["first.yaml", "second.yaml", "own/robot.yaml"]
-    for checked in check_files(many, [], trust=False):
-        assert list(checked.report) == list(check_file(checked.file, [], trust=False).report)
+    for checked in check_files(many, CHECK):
+        assert list(checked.report) == list(CHECK(checked.file).report)
         assert checked.report.has_errors
 
 
 def test_a_process_that_is_killed_loses_no_file(
     thorvaldc: Command, files: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(files: list[str], library: list[Path], trust: bool) -> Iterator[CheckedFile]:
-        yield check_file(files[0], library, trust)
+    def broken(files: list[str], check: Check) -> Iterator[CheckedFile]:
+        yield check(files[0])
         raise BrokenProcessPool("a process was terminated abruptly")
 
-    alone = [list(check_file(file, [], trust=False).report) for file in files]
+    alone = [list(CHECK(file).report) for file in files]
     monkeypatch.setattr(file_commands, "_of_processes", broken)
-    results = list(check_files(files, [], trust=False))
+    results = list(check_files(files, CHECK))
     assert [result.file for result in results] == files
     assert [list(result.report) for result in results] == alone
 

@@ -105,9 +105,9 @@ def test_each_kind_of_value_is_completed(
     assert answers("explain", "TV501") == ["TV501"]
     assert answers("explain", "can-id-dup") == ["can-id-duplicate"]
     assert "scenario" in answers("schema", "")
-    assert answers("batch", str(FIELD), "--set", "world.fri") == ["world.friction="]
+    assert answers("scenario", str(FIELD), "--set", "world.fri") == ["world.friction="]
     Path("deep.yaml").write_text("[" * 100_000 + "]" * 100_000)
-    assert answers("batch", "deep.yaml", "--set", "") == []
+    assert answers("scenario", "deep.yaml", "--set", "") == []
     assert answers("render", "robot.yaml", "--view", "r") == ["rear", "right"]
     assert "virtual" in answers("run", "robot.yaml", "--bus", "")
     assert answers("teleop", "robot.yaml", "--on", "id") == ["ideal"]
@@ -199,7 +199,7 @@ def test_zsh_and_fish(
         ("faults", "--"),
         ("build", "--target", ""),
         pytest.param(("modules", "show", ""), marks=pytest.mark.exhaustive),
-        ("batch", str(FIELD), "--set", ""),
+        ("scenario", str(FIELD), "--set", ""),
     ],
     ids="-".join,
 )

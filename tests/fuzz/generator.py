@@ -148,7 +148,6 @@ world:
 script: [{at: 0, vx: 0.5 m/s, robot: cart}, {at: 0.1, vx: 0.3, wz: 0.4 rad/s}]
 faults: [{type: ice, wheel: fl_wheel, friction: 0.05, at: 0.1 s, until: 0.2 s, robot: cart}]
 noise: {seed: 1, wheel_speed: 0.01 rad/s}
-variations: {world.friction: [0.4, 0.8]}
 expect: {end_error: {max: 5 m}}
 """
 FLEET = """\

@@ -8,11 +8,14 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
 from thorvaldc.cli.exits import OutsideError, write_errors
+
+if TYPE_CHECKING:
+    from thorvaldc.compiler.source.node import Node
 
 T = TypeVar("T")
 
@@ -135,13 +138,14 @@ def base_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
 
 
 @completer
-def scenario_variables(ctx: typer.Context, incomplete: str) -> Iterator[str]:
-    """Proposes the paths of the numbers, texts and flags of the scenario, for ``--set``."""
+def document_paths(ctx: typer.Context, incomplete: str) -> Iterator[str]:
+    """Proposes the paths of the numbers, texts and flags of the file, for ``--set``."""
     from thorvaldc.compiler.source.reader import read_file
     from thorvaldc.diagnostics import Report
 
     # An option without its value ends the parsing, and the words before it are in ``args``.
-    words = (ctx.params.get("scenario"), ctx.params.get("file"), *ctx.args)
+    files = ctx.params.get("files") or ()
+    words = (ctx.params.get("scenario"), ctx.params.get("file"), *files, *ctx.args)
     name = next(word for word in words if word and Path(word).is_file())
     document = read_file(Path(name), name, Report())
     if document is not None:
@@ -209,6 +213,7 @@ Settings = Annotated[
     typer.Option(
         "--set",
         metavar="PATH=VALUE",
+        autocompletion=document_paths,
         help="Replace a value of the file: driver.rate=100 Hz; may be repeated.",
         show_default=False,
     ),
@@ -390,6 +395,15 @@ def new_values(settings: Sequence[str]) -> dict[str, object]:
     from thorvaldc.compiler.source.overrides import parse_change
 
     return dict(parsed(text, parse_change, "--set") for text in settings)
+
+
+def choices(settings: Sequence[str]) -> dict[str, tuple[Node, ...]]:
+    """Returns the values of the options ``--set`` of a sweep by their paths."""
+    if not settings:
+        return {}
+    from thorvaldc.compiler.source.overrides import parse_choices
+
+    return dict(parsed(text, parse_choices, "--set") for text in settings)
 
 
 def library_folders(names: Sequence[str], option: str = "'--library'") -> list[Path]:

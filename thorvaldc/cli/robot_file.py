@@ -13,7 +13,7 @@ import typer
 
 from thorvaldc.cli.diagnostic_output import message, report_of, show_report
 from thorvaldc.cli.exits import INPUT, OutsideError, is_runtime_only
-from thorvaldc.cli.options import library_folders, new_values
+from thorvaldc.cli.options import library_folders
 from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Bus, Fleet, Robot
 from thorvaldc.model.model_json import is_model_file, load_model
@@ -112,14 +112,14 @@ def compile_and_show(
     file: str,
     library: Sequence[str],
     robot: str | None = None,
-    settings: Sequence[str] = (),
+    values: Mapping[str, object] | None = None,
     *,
     trust: bool,
 ) -> Compilation:
     """Compiles a robot or fleet file and prints its diagnostics on stderr.
 
     - ``robot``: path of a robot file that replaces the robot of a scenario.
-    - ``settings``: options ``--set``, which replace values of the file.
+    - ``values``: values of the options ``--set`` by their paths.
     - ``trust``: whether xacro files are expanded without restrictions.
     """
     # The compiler is imported only when it is used, because the runtime package does not contain
@@ -130,7 +130,7 @@ def compile_and_show(
         file,
         library=library_folders(library),
         robot=robot,
-        set=new_values(settings),
+        set=values,
         trust=trust,
     )
     show_report(compilation.report, compilation.sources)

@@ -4,6 +4,7 @@ which runs a scenario and checks its expectations."""
 from __future__ import annotations
 
 import gc
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,8 +12,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thorvaldc.cli import options
-from thorvaldc.cli.diagnostic_output import message, print_json, show_report, table_width
-from thorvaldc.cli.exits import INPUT
+from thorvaldc.cli.diagnostic_output import (
+    Progress,
+    message,
+    print_json,
+    show_report,
+    table_width,
+)
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError, write_errors
 from thorvaldc.cli.robot_file import compile_and_show
 from thorvaldc.diagnostics import DiagnosticError, Report
 
@@ -23,6 +30,7 @@ if TYPE_CHECKING:
     from thorvaldc.model.scenario import Scenario
     from thorvaldc.runtime.se2 import Twist
     from thorvaldc.simulation.scenario_run import ScenarioResult
+    from thorvaldc.simulation.scenario_sweep import ResultFile, Run, Sweep
     from thorvaldc.simulation.simulation_result import SimulationResult
 
 
@@ -73,7 +81,7 @@ def sim(
     outputs = RunOutputs(plot, video, record, log, ideal=ideal)
     if sensors and not record.lower().endswith(".mcap"):
         raise typer.BadParameter("needs a --record OUT.mcap", param_hint="'--sensors'")
-    compilation = compile_and_show(file, library, None, settings, trust=trust)
+    compilation = compile_and_show(file, library, None, options.new_values(settings), trust=trust)
     if compilation.model is None:
         return INPUT
     if compilation.scenario is not None:
@@ -100,7 +108,22 @@ def sim(
 def scenario(
     file: options.ScenarioFile,
     robot: options.ScenarioRobot = "",
-    settings: options.Settings = [],  # noqa: B006
+    settings: Annotated[
+        list[str],
+        typer.Option(
+            "--set",
+            metavar="PATH=VALUES",
+            autocompletion=options.document_paths,
+            help="Replace a value of the file: world.friction=0.3; several values, 0.3,0.6, make"
+            " a run with each. May be repeated.",
+            show_default=False,
+        ),
+    ] = [],  # noqa: B006
+    jobs: options.Jobs = "",
+    output: Annotated[
+        str,
+        typer.Option("--output", "-o", metavar="OUT.csv", help="Write the results of all runs."),
+    ] = "",
     parameters: options.Parameters = "",
     junit: options.JUnit = "",
     record: options.Record = "",
@@ -113,13 +136,88 @@ def scenario(
 ) -> int:
     from thorvaldc.cli.run_outputs import RunOutputs
 
+    choices = options.choices(settings)
+    if output or any(len(values) > 1 for values in choices.values()):
+        of_one_run = {"--parameters": parameters, "--junit": junit, "--record": record}
+        of_one_run |= {"--log": log, "--plot": plot, "--video": video}
+        options.refuse_options(of_one_run, "these are several runs")
+        from thorvaldc.simulation.scenario_sweep import Sweep
+
+        folders = options.library_folders(library)
+        return _sweep(Sweep(file, choices, robot or None, folders, trust), jobs, output, json)
     outputs = RunOutputs(plot, video, record, log)
-    compilation = compile_and_show(file, library, robot or None, settings, trust=trust)
+    values = {path: nodes[0] for path, nodes in choices.items()}
+    compilation = compile_and_show(file, library, robot or None, values, trust=trust)
     if compilation.model is None:
         return INPUT
     if compilation.scenario is None:
         raise typer.BadParameter(f"{file} is no scenario", param_hint="SCENARIO")
     return _run_scenario(compilation, compilation.scenario, outputs, parameters, json, junit)
+
+
+SHOWN_FAILURES = 10
+"""Largest number of failed runs of a sweep whose diagnostics are printed."""
+
+
+def _sweep(sweep: Sweep, jobs: str, output: str, json: bool) -> int:
+    """Runs a sweep, prints its table and returns the exit status."""
+    from thorvaldc.simulation.scenario_sweep import ResultFile
+    from thorvaldc.simulation.worker_processes import processors
+
+    gc.enable()
+    process_count = options.parse_count(jobs, "--jobs", 1) or processors()
+    if output:
+        options.check_output(output, ("csv",), "--output")
+    compilation = sweep.check()
+    if compilation.model is None:
+        return show_report(compilation.report, compilation.sources)
+    if compilation.scenario is None:
+        raise typer.BadParameter(f"{sweep.scenario} is no scenario", param_hint="SCENARIO")
+    with write_errors(output):
+        file = ResultFile(Path(output)) if output else None
+    runs = _runs_of(sweep, process_count, file, json)
+    failed_runs = [run for run in runs if run.errors]
+    for run in failed_runs[:SHOWN_FAILURES]:
+        for text in run.errors:
+            message(f"run {run.number}: {text}")
+    hidden = len(failed_runs) - SHOWN_FAILURES
+    if hidden > 0:
+        message(f"and {hidden} more {'run' if hidden == 1 else 'runs'}")
+    return DONE if all(run.passed for run in runs) else INPUT
+
+
+def _runs_of(sweep: Sweep, process_count: int, file: ResultFile | None, json: bool) -> list[Run]:
+    """Runs a sweep and returns the results in the order of the run numbers.
+
+    If an exception occurs, also Ctrl-C, the results of the completed runs are still printed and
+    written.
+    """
+    from thorvaldc.simulation.scenario_sweep import results_table, runs_as_json
+
+    runs: list[Run] = []
+    bar = Progress(len(sweep), "runs")
+    with file or nullcontext():
+        try:
+            bar.show(0)
+            for run in sweep.runs(process_count):
+                runs.append(run)
+                bar.show(len(runs))
+                if file is not None:
+                    file.append(run)
+        except OSError:
+            raise
+        except RuntimeError as error:  # a process of the sweep was killed
+            raise OutsideError(str(error)) from None
+        finally:
+            bar.clear()
+            runs.sort(key=lambda run: run.number)
+            if json:
+                print(runs_as_json(runs))
+            elif runs:
+                print(results_table(runs, table_width()))
+            if len(runs) < len(sweep):
+                message(f"{len(runs)} of {len(sweep)} runs are done")
+    return runs
 
 
 def _run_scenario(

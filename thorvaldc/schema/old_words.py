@@ -57,6 +57,11 @@ OLD_WORDS: tuple[OldWord, ...] = (
         " wheel and 160 mm of the steering",
         types=("assembly/steered_drive", "assembly/suspended_steered_drive"),
     ),
+    OldWord(
+        ("scenario",),
+        ("variations",),
+        advice="run a sweep: `thorvaldc scenario FILE --set world.friction=0.3,0.6`",
+    ),
     OldWord(("robot",), ("base_calculator",), advice=_RANDOM_PAIRS, value="random_pairs"),
     OldWord(("robot",), ("base_calculator", "name"), advice=_RANDOM_PAIRS, value="random_pairs"),
 )

@@ -114,7 +114,8 @@ class Episode:
         self.starts: dict[str, Pose2] = dict(self._own_starts)
         """Start pose (m, rad) of each robot in the world; a change holds from the next reset on."""
         self.name = robot or next(iter(self.robots), "")
-        self.check_robot(self.name)
+        if robot:
+            self.check_robot(robot)
         for own in self.robots.values():
             Parameters.from_robot(own, parameters)
         self.parameters = parameters
@@ -475,12 +476,12 @@ def _check_files(model: Robot | Fleet, files: Path | str | Mapping[str, bytes]) 
     if text is None or text == to_json(model).encode():
         return
     for name, own in _generated(model).items():
-        found = files.get(name) if isinstance(files, Mapping) else _read(Path(files, name))
-        if found != own:
+        present = files.get(name) if isinstance(files, Mapping) else _read(Path(files, name))
+        if present != own:
             raise DiagnosticError(
                 "simulation-scene",
                 f"the files of the scene are not those of {model.name}: {name} "
-                + ("differs" if found is not None else "is missing"),
+                + ("differs" if present is not None else "is missing"),
                 model.span if isinstance(model, Robot) else None,
                 hint="emit the files from this model, or build it again",
             )

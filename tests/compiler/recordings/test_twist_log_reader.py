@@ -96,7 +96,9 @@ def test_replayed_record_is_bit_identical(tmp_path: Path, record: str) -> None:
         files = emit(compilation.scenario.fleet, ["mjcf"], Report())
         run = ScenarioSimulation(compilation.scenario, files)
         kind = McapRecorder if record.endswith(".mcap") else CsvRecorder
-        recorder = kind(tmp_path / f"new_{record}", run.robots, compilation.scenario.record)
+        recorder = kind(
+            tmp_path / f"new_{record}", [*run.robots.items()], compilation.scenario.record
+        )
         hashes.append(run.play(Report(), [recorder]).hash)
         recorder.close()
         if compilation is first:

@@ -16,11 +16,8 @@ from pathlib import Path
 from thorvaldc.compiler.recordings.twist_log_reader import read_twists
 from thorvaldc.compiler.result import Compilation, Compile, SourceFile
 from thorvaldc.compiler.scenario import fleet_compilation, world_reader
-from thorvaldc.compiler.scenario import variations as varying
 from thorvaldc.compiler.source.input_file import LOGS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.compiler.source.overrides import with_changes
-from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.compiler.values.value_reader import ValueReader
 from thorvaldc.diagnostics import Report, did_you_mean
@@ -57,8 +54,6 @@ def compile_scenario(
     parts: dict[str, Compilation] = {}
     document = source.document
     if document is not None:
-        if source.changes:
-            document = varying.without_variations(document)
         checked = source.check_shape(document)
         section = read_document(checked, "scenario", ValueReader(report))
         fleet = _read_robots(section, source, compile_part, report, parts, robot)
@@ -199,35 +194,8 @@ def metric_units() -> Mapping[str, str]:
 def read_scenario(document: Section, fleet: Fleet, report: Report) -> Scenario:
     """Returns the scenario that a scenario document describes.
 
-    The fleet of the scenario contains the robots of ``fleet`` and the world of the document.  The
-    function also checks each value in the section ``variations`` of the scenario document.
+    The fleet of the scenario contains the robots of ``fleet`` and the world of the document.
     """
-    scenario = _read(document, fleet, report)
-    if "variations" in document:
-        _check_variations(document.node, fleet, report)
-    return scenario
-
-
-def _check_variations(document: Node, fleet: Fleet, report: Report) -> None:
-    """Applies each value of a variation to the scenario document, and reports the errors."""
-    variations = varying.read_variations(document, (), None, None, report)
-    if report.has_errors:
-        return
-    for change in variations.single_changes():
-        if change.path.partition(".")[0] in ("robots", "fleet"):
-            # Values that replace a robot file are not checked, because the check would compile
-            # another robot.
-            continue
-        shape, content = Report(), Report()
-        varied = varying.without_variations(with_changes(document, [change], content))
-        check(varied, "scenario", shape)
-        checked = without_invalid_values(varied, shape)
-        _read(read_document(checked, "scenario", ValueReader(content)), fleet, content)
-        for diagnostic in (*shape.errors, *content.errors):
-            report.put(diagnostic)
-
-
-def _read(document: Section, fleet: Fleet, report: Report) -> Scenario:
     world = document["world"]
     friction = world["friction"]
     if friction is not None:

@@ -59,6 +59,18 @@ def parse_change(text: str) -> Change:
     return Change(path, with_span(node, span))
 
 
+def parse_choices(text: str) -> tuple[str, tuple[Node, ...]]:
+    """Reads a text ``PATH=VALUES`` with one value, or several ones that are separated by commas.
+
+    Raises ``ValueError``.
+    """
+    path, equals, values = text.partition("=")
+    path, node = parse_change(f"{path}=[{values}]" if equals else text)
+    if not isinstance(node.value, tuple) or not node.value:
+        raise ValueError(f"{text!r} has no value")
+    return path, node.value
+
+
 def with_span(node: Node, span: Span) -> Node:
     """Returns a copy of a YAML node in which every value has the same source span.
 

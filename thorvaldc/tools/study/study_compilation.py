@@ -23,7 +23,6 @@ from thorvaldc.compiler.pipeline import library_folders_of
 from thorvaldc.compiler.result import Compilation, Compile, SourceFile
 from thorvaldc.compiler.scenario.fleet_compilation import open_named_file
 from thorvaldc.compiler.scenario.scenario_compilation import compile_scenario, metric_units
-from thorvaldc.compiler.scenario.variations import read_range
 from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
 from thorvaldc.compiler.source.node import Node, Value, insertion, yaml_text
 from thorvaldc.compiler.source.reader import MAX_BYTES, read_text
@@ -36,6 +35,10 @@ from thorvaldc.model.facts.robot_facts import fact_quantity, facts_document, rob
 from thorvaldc.tools.study import study_definition as definition
 from thorvaldc.tools.study.study_definition import Study, Variable
 
+# A quantity is a number with an optional unit, for example `-0.5 deg`.
+_LIMIT = re.compile(
+    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s.][^.]*?)?\s*", re.ASCII
+)
 _QUANTITY = re.compile(
     r"[-+]?\d+(\.\d+)?(e[-+]?\d+)? [a-zA-Z%][\w/^]*( [a-zA-Z][\w/^]*)*", re.ASCII
 )
@@ -188,6 +191,47 @@ def _opened(
     return opened
 
 
+def _read_range(
+    path: str, low: str, high: str, span: Span, report: Report
+) -> tuple[float, float, str, bool] | None:
+    """Reads the two limits of a range of values: least, most, unit, whether only whole numbers.
+
+    Both limits of the range must have the same unit.  A limit of 0 needs no unit.
+    """
+    first, last = _LIMIT.fullmatch(low), _LIMIT.fullmatch(high)
+    if first is None or last is None:
+        invalid = low if first is None else high
+        report.add(
+            "variation-value",
+            f"`{invalid}` is not a limit of a range of `{path}`; "
+            "it must be a number, with its unit",
+            span,
+        )
+        return None
+    least, most = float(first[1]), float(last[1])
+    low_unit, high_unit = first[2] or "", last[2] or ""
+    if least == 0.0 and not low_unit:
+        low_unit = high_unit
+    if most == 0.0 and not high_unit:
+        high_unit = low_unit
+    range_text = f"the range of `{path}` is from {low.strip()} to {high.strip()}"
+    if low_unit != high_unit:
+        report.add(
+            "variation-value",
+            f"{range_text}, in two units",
+            span,
+            hint="give both limits in the same unit",
+        )
+        return None
+    if not least < most:
+        report.add(
+            "variation-value", f"{range_text}; its end must be more than its beginning", span
+        )
+        return None
+    whole = not low_unit and all(re.fullmatch(r"\s*[-+]?\d+\s*", text) for text in (low, high))
+    return least, most, low_unit, whole
+
+
 def fact_values(document: Any, path: str = "") -> Iterator[tuple[str, float]]:
     """Yields the path and value of each number in the facts about a robot."""
     if isinstance(document, bool):
@@ -306,10 +350,9 @@ class _StudyReader:
             return None
         if least is not None and most is not None:
             limits = str(least.value), str(most.value)
-            varied = read_range(name, *limits, node.where, self.report)
-            if varied is None:
+            limit = _read_range(name, *limits, node.where, self.report)
+            if limit is None:
                 return None
-            limit = varied.least, varied.most, varied.unit, varied.whole
             return Variable(name, paths, (), *limit, node.where)
         values = tuple(item.value for item in items(choices) if item.value is not None)
         return Variable(name, paths, values, 0.0, 0.0, "", False, node.where) if values else None

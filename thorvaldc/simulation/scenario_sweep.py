@@ -1,12 +1,13 @@
-"""Runs many variations of a scenario in one or more processes, and formats their results.
+"""Runs a scenario with all combinations of some values, in one or more processes.
 
-The results do not depend on the number of processes.  They are a text table, a CSV or a JSON file.
+The results do not depend on the number of processes.  They are a text table, JSON or a CSV file.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import itertools
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,22 +21,22 @@ from thorvaldc.backends.mjcf import simulation_files
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.compiler.scenario.scenario_compilation import metric_units
-from thorvaldc.compiler.scenario.variations import Variations
-from thorvaldc.compiler.source.overrides import Change
-from thorvaldc.diagnostics import files
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import DiagnosticError, files
 from thorvaldc.diagnostics.files import finite
 from thorvaldc.diagnostics.text_layout import text_table
+from thorvaldc.simulation.scenario_run import ScenarioSimulation
 from thorvaldc.simulation.worker_processes import ignored_interrupts, worker_pool
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """The run of one variation of a scenario.
+    """A run of a sweep.
 
     * ``number``: number of the run, from 1 on.
     * ``values``: varied values by their path in the document.
-    * ``result``: ``ScenarioResult.as_json()`` without the real time factor, or ``None`` if the run
-      could not start.  The real time factor is omitted because it depends on the machine.
+    * ``result``: ``ScenarioResult.as_json()`` without the real time factor, which depends on the
+      machine, or ``None`` if the run could not start.
     * ``errors``: error messages of the run.
     """
 
@@ -59,112 +60,87 @@ class Run:
         }
 
 
-class Batch:
-    """The runs of all variations of a scenario.
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """The runs of a scenario with all combinations of values.
 
-    Each variation is compiled and simulated independently of the other variations.  The result of
-    a variation in a batch is thus equal to the result of the same variation alone.
+    Each run is compiled and simulated for itself: its result is that of the same run alone.
+
+    * ``scenario``: path of the scenario file.
+    * ``choices``: values by their path in the document; the value of the last path changes first.
+    * ``robot``, ``library``, ``trust``: see ``compile_file``.
     """
 
-    def __init__(
-        self,
-        scenario: Path | str,
-        variations: Variations,
-        *,
-        robot: Path | str | None = None,
-        library: Sequence[Path] = (),
-        trust: bool = False,
-    ) -> None:
-        self.variations = variations
-        self._jobs = [
-            _Job(number, scenario, changes, robot, library, trust)
-            for number, changes in enumerate(variations.runs(), 1)
-        ]
+    scenario: Path | str
+    choices: Mapping[str, Sequence[Node]]
+    robot: Path | str | None = None
+    library: Sequence[Path] = ()
+    trust: bool = False
 
     def __len__(self) -> int:
-        return len(self._jobs)
+        return math.prod(map(len, self.choices.values()))
 
-    def check(self) -> Compilation | None:
-        """Compiles the scenario once with each varied value, before the runs start.
+    def __iter__(self) -> Iterator[Mapping[str, Node]]:
+        """Yields the values of each run."""
+        for values in itertools.product(*self.choices.values()):
+            yield dict(zip(self.choices, values, strict=True))
 
-        Each varied value is combined with the other values of the first run.  Returns the first
-        compilation with errors, or ``None`` if all compilations succeed.
+    def check(self) -> Compilation:
+        """Compiles the scenario with each value and the first ones of all other paths.
+
+        Returns the first compilation with errors, or one without.
         """
-        if not self._jobs:
-            return None
-        first = self._jobs[0]
-        combinations = [first.changes]
-        for change in self.variations.single_changes():
-            if change not in first.changes:
-                others = (c for c in first.changes if c.path != change.path)
-                combinations.append((*others, change))
-        for changes in combinations:
-            compilation = first.compile(changes)
-            if compilation.model is None:
-                return compilation
-        return None
+        first = next(iter(self))
+        compilation = self.compile(first)
+        for path, values in self.choices.items():
+            for value in values[1:]:
+                if compilation.model is not None:
+                    compilation = self.compile({**first, path: value})
+        return compilation
+
+    def compile(self, values: Mapping[str, Node]) -> Compilation:
+        return compile_file(
+            self.scenario, library=self.library, robot=self.robot, set=values, trust=self.trust
+        )
 
     def runs(self, jobs: int = 1) -> Iterator[Run]:
-        """Simulates the variations and yields each run when the run ends.
+        """Simulates the runs, and yields each one when it ends.
 
-        ``jobs`` is the number of processes.  With ``jobs=1`` the runs are simulated in the current
-        process.  If the caller closes the iterator, or an interrupt occurs, the remaining runs are
-        cancelled.  Raises ``BrokenProcessPool`` if a process was killed.
+        ``jobs`` is the number of processes.  If the caller closes the iterator, or an interrupt
+        occurs, the remaining runs are cancelled.  Raises ``BrokenProcessPool`` if a process was
+        killed.
         """
-        if jobs <= 1 or len(self._jobs) <= 1:
-            for job in self._jobs:
-                yield job()
+        if jobs <= 1:
+            yield from itertools.starmap(self._run, enumerate(self, 1))
             return
         try:
-            with worker_pool(min(jobs, len(self._jobs))) as pool:
+            with worker_pool(min(jobs, len(self))) as pool:
                 with ignored_interrupts():
-                    futures: list[Future[Run]] = [pool.submit(job) for job in self._jobs]
+                    futures: list[Future[Run]] = [
+                        pool.submit(self._run, number, values)
+                        for number, values in enumerate(self, 1)
+                    ]
                 for future in as_completed(futures):
                     yield future.result()
         except BrokenProcessPool:
-            raise BrokenProcessPool("a process of the batch was killed") from None
+            raise BrokenProcessPool("a process of the sweep was killed") from None
 
-
-@dataclass(frozen=True, slots=True)
-class _Job:
-    """The arguments of the run of one variation, passed to another process."""
-
-    number: int
-    scenario: Path | str
-    changes: tuple[Change, ...]
-    robot: Path | str | None
-    library: Sequence[Path]
-    trust: bool
-
-    def compile(self, changes: tuple[Change, ...]) -> Compilation:
-        return compile_file(
-            self.scenario,
-            library=self.library,
-            robot=self.robot,
-            set=dict(changes),
-            trust=self.trust,
-        )
-
-    def __call__(self) -> Run:
-        from thorvaldc.diagnostics import DiagnosticError
-        from thorvaldc.simulation.scenario_run import ScenarioSimulation
-
-        values = {change.path: change.value.plain() for change in self.changes}
-        compilation = self.compile(self.changes)
+    def _run(self, number: int, values: Mapping[str, Node]) -> Run:
+        compilation = self.compile(values)
         report, result = compilation.report, None
         if compilation.scenario is not None:
             try:
-                files = simulation_files(compilation.scenario.fleet)
-                simulation = ScenarioSimulation(compilation.scenario, files)
+                scene = simulation_files(compilation.scenario.fleet)
+                simulation = ScenarioSimulation(compilation.scenario, scene)
                 result = simulation.play(report).as_json()
                 result["run"].pop("real_time_factor")
             except DiagnosticError as error:
                 report.put(error.diagnostic)
         errors = tuple(f"{d.code.severity}[{d.code.number}]: {d.message}" for d in report.errors)
-        return Run(self.number, values, result, errors)
+        plain = {path: value.plain() for path, value in values.items()}
+        return Run(number, plain, result, errors)
 
 
-SUFFIXES = (".csv", ".json")
 # The columns of the text table: (metric, heading, format, factor).  The text of a cell is the
 # metric times the factor.
 _COLUMNS = (
@@ -179,8 +155,7 @@ _COLUMNS = (
 
 def runs_as_json(runs: Sequence[Run]) -> str:
     """Returns the results of all runs as a JSON list."""
-    values = [finite(run.as_json()) for run in runs]
-    return json.dumps(values, indent=1, ensure_ascii=False)
+    return json.dumps([finite(run.as_json()) for run in runs], indent=1, ensure_ascii=False)
 
 
 def results_table(runs: Sequence[Run], width: int | None = None) -> str:
@@ -193,7 +168,7 @@ def results_table(runs: Sequence[Run], width: int | None = None) -> str:
     headings = [heading for _, heading, _, _ in _COLUMNS]
     rows = [["run", *runs[0].values, *(["robot"] * has_fleet), *headings, "", "hash"]]
     for run in runs:
-        values = [_short_text(value) for value in run.values.values()]
+        values = [_value_text(value) for value in run.values.values()]
         verdict = "ok" if run.passed else "FAILED"
         short_hash = run.result["hash"][:8] if run.result is not None else "-"
         for robot, metrics in _metrics_by_robot(run):
@@ -211,16 +186,14 @@ def results_table(runs: Sequence[Run], width: int | None = None) -> str:
 
 
 class ResultFile:
-    """A CSV or JSON file with the results of a batch of runs.
+    """A CSV file with the results of a sweep.
 
     The result of each run is written when the run ends, so that a killed process loses no result
-    of a finished run.  At the end of the batch, the file is replaced by one with the runs in order.
-    A full disk leaves the results of the runs before.  Raises ``OSError`` if the file cannot be
-    written.
+    of a finished run.  At the end, the file is replaced by one with the runs in order.  A full disk
+    leaves the results of the runs before.  Raises ``OSError`` if the file cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
-        self._is_csv = path.suffix.lower() == ".csv"
         self._path = path
         self._file = path.open("wb", buffering=0)
         self._runs: list[Run] = []
@@ -231,16 +204,12 @@ class ResultFile:
     def __exit__(self, *error: object) -> None:
         self._file.close()
         runs = sorted(self._runs, key=lambda run: run.number)
-        text = _csv_text(runs, heading=True) if self._is_csv else runs_as_json(runs) + "\n"
-        files.write_file(self._path, text)
+        files.write_file(self._path, _csv_text(runs, heading=True))
 
     def append(self, run: Run) -> None:
         """Appends the result of a finished run to the file."""
         self._runs.append(run)
-        if self._is_csv:
-            text = _csv_text([run], heading=len(self._runs) == 1)
-        else:
-            text = json.dumps(finite(run.as_json()), ensure_ascii=False) + "\n"
+        text = _csv_text([run], heading=len(self._runs) == 1)
         with files.errors_with_name(self._path):
             files.append_whole(self._file.fileno(), text.encode())
 
@@ -273,18 +242,3 @@ def _metrics_by_robot(run: Run) -> Iterator[tuple[str, Mapping[str, float]]]:
 
 def _value_text(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-
-
-def _short_text(value: Any) -> str:
-    """Returns a value as text, with at most six significant digits for a float.
-
-    Without rounding, a random value would have up to 17 digits.
-    """
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    text = _value_text(value)
-    number, _, unit = text.partition(" ")
-    try:
-        return f"{float(number):.6g} {unit}".rstrip() if len(number) > 8 else text
-    except ValueError:
-        return text
