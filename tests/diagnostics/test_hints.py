@@ -1,6 +1,6 @@
 """Applies the change that each hint proposes, and checks the files again.
 
-The documents are those of the case files.  A diagnostic with fixes proposes a concrete change; a
+The documents are the examples of the codes.  A diagnostic with fixes proposes a concrete change; a
 diagnostic without fixes gives advice only.
 """
 

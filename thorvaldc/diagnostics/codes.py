@@ -1,8 +1,8 @@
 """Table of all diagnostic codes, and their documentation pages.
 
 The number of a removed diagnostic code is never used again for another code.  The page
-``docs/diagnostics/<number>.md`` explains each diagnostic code.  Codes of other packages have
-prefixes of their own, see ``plugin_codes``.
+``docs/diagnostics/<number>.md`` explains each diagnostic code; its examples are tested.  Codes of
+other packages have prefixes of their own, see ``plugin_codes``.
 """
 
 from __future__ import annotations
@@ -456,15 +456,17 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 def page(code: Code) -> str:
     """Returns the documentation page of a diagnostic code in Markdown.
 
-    If the documentation page is not installed, returns the summary of the diagnostic code.
+    The comments that make its examples to cases of the tests are left out.  If the documentation
+    page is not installed, returns the summary of the diagnostic code.
     """
     if code.page:
         return code.page
     path = _folder() / f"{code.number}.md"
     try:
-        return path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8")
     except OSError:
         return f"# {code.number} {code.name}\n\n{code.summary}\n"
+    return re.sub(r"<!-- case.*?-->\n*", "", text, flags=re.S).rstrip() + "\n"
 
 
 def _folder() -> Path:

@@ -14,7 +14,8 @@ def page() -> str:
         "# Diagnostics",
         "",
         f"All {len(table)} codes. `thorvaldc explain CODE` prints the page of a code. A code never"
-        " changes its meaning; the number of a removed code is not used again.",
+        " changes its meaning; the number of a removed code is not used again. In the examples of a"
+        " page, the lines with `-` raise the diagnostic, and those with `+` do not.",
     ]
     for digit, group in groupby(table, key=lambda code: re.sub(r"\D", "", code.number)[0]):
         lines += ["", f"## {codes.SUBJECTS[digit]}", ""]
