@@ -40,7 +40,7 @@ HERE = Path(__file__).parent
 KEYS = {
     *("code", "at", "file", "files", "good", "entry", "run", "targets"),
     *("twist", "seconds", "parameters", "record", "distance", "read_only"),
-    *("bus", "devices", "options", "situation", "git", "path", "built"),
+    *("bus", "devices", "options", "situation", "git", "path", "built", "set"),
 }
 xdist_group = pytest.mark.xdist_group
 
@@ -143,7 +143,7 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
     from thorvaldc.backends import DEFAULT_TARGETS
     from thorvaldc.compiler.pipeline import compile_file, emit
 
-    compilation = compile_file(entry)
+    compilation = compile_file(entry, set=case.get("set"))
     if command == "emit" and compilation.model is not None:
         emit(compilation.model, case.get("targets", DEFAULT_TARGETS), compilation.report)
     if command == "fresh":

@@ -202,7 +202,7 @@ def _read_range(
     if first is None or last is None:
         invalid = low if first is None else high
         report.add(
-            "variation-value",
+            "study-value",
             f"`{invalid}` is not a limit of a range of `{path}`; "
             "it must be a number, with its unit",
             span,
@@ -217,16 +217,14 @@ def _read_range(
     range_text = f"the range of `{path}` is from {low.strip()} to {high.strip()}"
     if low_unit != high_unit:
         report.add(
-            "variation-value",
+            "study-value",
             f"{range_text}, in two units",
             span,
             hint="give both limits in the same unit",
         )
         return None
     if not least < most:
-        report.add(
-            "variation-value", f"{range_text}; its end must be more than its beginning", span
-        )
+        report.add("study-value", f"{range_text}; its end must be more than its beginning", span)
         return None
     whole = not low_unit and all(re.fullmatch(r"\s*[-+]?\d+\s*", text) for text in (low, high))
     return least, most, low_unit, whole
