@@ -21,7 +21,7 @@ import zipfile
 from importlib import metadata
 from pathlib import Path
 
-from thorvaldc.compiler.catalogue import describe_module, first_sentence
+from thorvaldc.compiler.catalogue import describe_module
 from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.source.node import Node
@@ -147,7 +147,7 @@ def write_examples(folder: Path) -> None:
     modules = [
         {
             "type": module.name,
-            "text": first_sentence(module),
+            "text": module.summary,
             "kinds": describe_module(module, library).mounts_on,
         }
         for module in types

@@ -238,9 +238,9 @@ def _prepare() -> None:
 
 def _summary(model: Robot | Fleet) -> str:
     """Returns a summary of a robot, such as ``4 wheels (4 driven, 4 steered), 213.4 kg``."""
-    from thorvaldc.model import Fleet
+    from thorvaldc.model import Robot
 
-    if isinstance(model, Fleet):
+    if not isinstance(model, Robot):
         return count(len(model.placements), "robot")
     driven = sum(1 for wheel in model.wheels if wheel.driven)
     steered = sum(1 for wheel in model.wheels if wheel.steered)

@@ -7,7 +7,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -25,7 +25,7 @@ from thorvaldc.cli.options import module_types, preset_names, schema_kinds
 from thorvaldc.diagnostics import Report, Span, nearest
 
 if TYPE_CHECKING:
-    from thorvaldc.compiler.modules.library import Library
+    from thorvaldc.compiler.modules.library import Library, ModuleType
 
 
 MODEL = "model"
@@ -174,7 +174,6 @@ def _library(folders: Sequence[str]) -> Library:
 
 
 def list_modules(json: options.Json = False, library: options.Library = []) -> int:  # noqa: B006
-    from thorvaldc.compiler.catalogue import first_sentence, module_summary
     from thorvaldc.compiler.source.node import Node
 
     module_library = _library(library)
@@ -186,10 +185,26 @@ def list_modules(json: options.Json = False, library: options.Library = []) -> i
     modules = [module for module in loaded if module is not None]
     status = show_report(report, module_library.files)
     if json:
-        print_json([module_summary(module) for module in modules])
+        print_json([_module_document(module) for module in modules])
     else:
-        print_table((module.name, first_sentence(module)) for module in modules)
+        print_table((module.name, module.summary) for module in modules)
     return status
+
+
+def _module_document(module: ModuleType) -> dict[str, Any]:
+    """Returns the description, parameters, ports and mount kinds of a module type as JSON values.
+
+    ``fits`` lists the kinds of ports that the module can be mounted on.
+    """
+    document = module.document.plain()
+    return {
+        "type": module.name,
+        "category": module.category,
+        "description": document.get("description", ""),
+        "params": document.get("params", {}),
+        "ports": document.get("ports", {}),
+        "fits": (document.get("mount") or {}).get("kinds", []),
+    }
 
 
 def show_module(

@@ -7,24 +7,20 @@ such as that of a build, has the names and the places.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from thorvaldc.comparison import robot_difference
 from thorvaldc.comparison.robot_difference import ABSENT, ModuleChange, ValueChange
-from thorvaldc.compiler.modules import module_parameters, resolve
-from thorvaldc.compiler.modules.library import Library
+from thorvaldc.compiler.modules import module_parameters
 from thorvaldc.compiler.modules.module_tree import Instance
-from thorvaldc.compiler.pipeline import library_folders_of
-from thorvaldc.compiler.result import SourceFile
+from thorvaldc.compiler.result import Compilation
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.values.document_section import read_pose
 from thorvaldc.compiler.values.value_reader import INVALID
-from thorvaldc.diagnostics import Report
-from thorvaldc.model import Actuator, Battery, Robot, Sensor
+from thorvaldc.model import Actuator, Battery, Fleet, Robot, Sensor, robots_by_name
 
 
 @dataclass(frozen=True)
@@ -114,22 +110,22 @@ def outline_of_model(robot: Robot) -> Outline:
     }
 
 
-def outline_of_file(path: Path, library: Sequence[Path], model: Robot) -> Outline:
-    """Returns the modules of a robot file with types, places and parameters.
+def outlines_of(compilation: Compilation) -> dict[str, Outline]:
+    """Returns the modules of compiled robots with types, places and parameters.
 
-    ``model`` is the robot of the file.  ``library``: additional folders with modules.
+    A robot has an empty name; the robots of a fleet have their names.  A robot that was read from a
+    build, and not compiled, has no outline.
     """
-    source, report = SourceFile(path, path.name, path.parent), Report()
-    if source.document is None:
-        return outline_of_model(model)
-    document = source.check_shape(source.document)
-    folders = library_folders_of(document, source.path.parent, library, report)
-    root = resolve.Resolver(Library(folders), report).resolve(document)
-    shapes = {name: module.shape for name, module in outline_of_model(model).items()}
-    outline: Outline = {}
-    for child in root.children.values():
-        _add(child, outline, shapes)
-    return outline
+    model = compilation.model
+    outlines: dict[str, Outline] = {}
+    for name, robot in robots_by_name(model).items() if model is not None else ():
+        instance = compilation.instances.get(robot.span.file)
+        if instance is not None:
+            shapes = {path: module.shape for path, module in outline_of_model(robot).items()}
+            outline = outlines[name if isinstance(model, Fleet) else ""] = {}
+            for child in instance.children.values():
+                _add(child, outline, shapes)
+    return outlines
 
 
 def top_module(path: str) -> str:

@@ -220,7 +220,7 @@ def describe_module(module: ModuleType, library: Library) -> ModuleDescription:
     return ModuleDescription(
         module.name,
         module.category,
-        " ".join(str(module.document.plain().get("description", "")).split()),
+        module.description,
         tree.masses(),
         tree.mounts_on,
         tuple(o.name for o in others if set(tree.mounts_on) & set(o.port_kinds.values())),
@@ -345,46 +345,6 @@ class _Expanded:
 # -- output of the command ``thorvaldc modules`` -----------------------------------------
 
 Row = tuple[str, str]
-
-
-def module_summary(module: ModuleType) -> dict[str, Any]:
-    """Returns the description, parameters, ports and mount kinds of a module type as JSON values.
-
-    ``fits`` lists the kinds of ports that the module can be mounted on.
-    """
-    document = module.document.plain()
-    return {
-        "type": module.name,
-        "category": module.category,
-        "description": document.get("description", ""),
-        "params": document.get("params", {}),
-        "ports": document.get("ports", {}),
-        "fits": (document.get("mount") or {}).get("kinds", []),
-    }
-
-
-def first_sentence(module: ModuleType) -> str:
-    """Returns the first sentence of the description of a module type."""
-    text = " ".join(str(module.document.plain().get("description", "")).split())
-    return text.split(". ")[0].rstrip(".") + "."
-
-
-def module_facts(module: ModuleType) -> list[Row]:
-    """Returns the description, mount kinds, ports and parts of a module type as table rows."""
-    document = module.document.plain()
-    rows = [("what", str(document.get("description", "")))]
-    kinds = (document.get("mount") or {}).get("kinds", [])
-    if kinds:
-        rows.append(("mounts on", ", ".join(kinds)))
-    ports = [
-        f"{name} ({port['kind']})" if isinstance(port, dict) else f"{name} = {port}"
-        for name, port in document.get("ports", {}).items()
-    ]
-    if ports:
-        rows.append(("ports", ", ".join(ports)))
-    parts = ("links", "joints", "motors", "channels", "modules")
-    rows += [(key, ", ".join(document[key])) for key in parts if document.get(key)]
-    return rows
 
 
 def description_rows(module: ModuleType, description: ModuleDescription) -> list[Row]:

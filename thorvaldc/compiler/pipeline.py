@@ -25,6 +25,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from thorvaldc.compiler.bus.assemble_buses import remembered_buses
 from thorvaldc.compiler.bus.bus_checks import check_sides
@@ -43,9 +44,14 @@ from thorvaldc.compiler.source.overrides import Change, read_changes
 from thorvaldc.compiler.source.reader import MAX_BYTES, read_file
 from thorvaldc.diagnostics import Diagnostic, Report, Severity, Span
 from thorvaldc.diagnostics.files import read_bounded
-from thorvaldc.model import Fleet, Robot, robots_by_name
+from thorvaldc.model import Robot
 from thorvaldc.schema import Kind, keys_of
 from thorvaldc.tool_folders import document_compiler
+
+# The import of fleets takes several milliseconds.
+if TYPE_CHECKING:
+    from thorvaldc.model import Fleet
+
 
 MODEL_FILE = "model.json"
 
@@ -234,7 +240,9 @@ def emit_without_model(
     model: Robot | Fleet, targets: Sequence[str], report: Report | None = None
 ) -> dict[str, bytes]:
     """Returns the files of ``emit`` without ``model.json``, for a simulation in this process."""
-    from thorvaldc import backends  # the command `check` needs no targets
+    # The command `check` needs no targets.
+    from thorvaldc import backends
+    from thorvaldc.model import robots_by_name
 
     files: dict[str, bytes] = {}
     for backend in [backends.load(target) for target in dict.fromkeys(targets)]:
@@ -242,12 +250,14 @@ def emit_without_model(
             for robot in robots_by_name(model).values():
                 for diagnostic in backend.unsupported(robot):
                     report.put(diagnostic)
-        files.update(backend.emit_fleet(model) if isinstance(model, Fleet) else backend.emit(model))
+        files.update(backend.emit(model) if isinstance(model, Robot) else backend.emit_fleet(model))
     return files
 
 
 def _check_types(model: object, targets: object) -> None:
     """Raises ``TypeError`` for the mistakes that a program without type checks makes."""
+    from thorvaldc.model import Fleet
+
     if model is None:
         raise TypeError(
             "model: expected a Robot or a Fleet, got None: the file has errors, see the report of"
@@ -422,7 +432,7 @@ def load_fleet(
     ['tall', 'slim', 'wide', 'six']
     """
     model = _load(path, library, set, trust)
-    if not isinstance(model, Fleet):
+    if isinstance(model, Robot):
         raise _other_model(path, "a robot", "a fleet", "thorvaldc.load")
     return model
 

@@ -45,11 +45,12 @@ from thorvaldc.diagnostics import (
 )
 from thorvaldc.diagnostics.codes import STRUCTURE, all_codes
 from thorvaldc.diagnostics.files import MAX_LOG_BYTES
-from thorvaldc.model import Fleet, Robot
+from thorvaldc.model import Robot
 from thorvaldc.schema import Kind
 
-# The import of scenarios takes several milliseconds.
+# The imports of fleets and scenarios take several milliseconds.
 if TYPE_CHECKING:
+    from thorvaldc.model import Fleet
     from thorvaldc.model.scenario import Scenario
 
 SECTION = "accept"

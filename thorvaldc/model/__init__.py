@@ -1,7 +1,8 @@
 """The intermediate model (IR) of a robot or a fleet of robots, independent of any output format."""
 
+from typing import TYPE_CHECKING
+
 from thorvaldc.model.bus import Bus, Channel, FrameDefinition, Node, ObjectValue, Scalar, Signal
-from thorvaldc.model.fleet import Block, Fleet, Ground, Placement, World, Zone, robots_by_name
 from thorvaldc.model.robot import (
     Actuator,
     Battery,
@@ -37,6 +38,20 @@ from thorvaldc.model.shapes import (
     Visual,
 )
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
+
+# Most commands have one robot without a scene: the classes of a scene are made at their first use.
+if TYPE_CHECKING:
+    from thorvaldc.model.fleet import Block, Fleet, Ground, Placement, World, Zone, robots_by_name
+else:
+    _SCENE = {"Block", "Fleet", "Ground", "Placement", "World", "Zone", "robots_by_name"}
+
+    def __getattr__(name):
+        if name not in _SCENE:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from importlib import import_module
+
+        return getattr(import_module("thorvaldc.model.fleet"), name)
+
 
 __all__ = [
     "Actuator",

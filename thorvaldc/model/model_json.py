@@ -102,15 +102,10 @@ def type_hints(cls: type) -> dict[str, Any]:
 # -- writing ------------------------------------------------------------------------------
 
 
-@functools.cache
-def _names(cls: Hashable) -> tuple[str, ...]:
-    return tuple(type_hints(cast(Any, cls)))
-
-
 def _members(value: Any) -> Any:
     """Return what the JSON encoder writes for a dataclass of the model."""
-    cls: type[Any] = type(value)
-    members = {name: getattr(value, name) for name in _names(cast(Hashable, cls))}
+    cls: Any = type(value)
+    members = {name: getattr(value, name) for name in type_hints(cls)}
     if cls in _SHAPE_CLASSES:
         members["kind"] = cls.__name__
     return members

@@ -13,24 +13,12 @@ from tests.compiler.extras.xacro_files import (
     LINKS,
     SENSOR,
     STL,
-    attach,
     load,
     load_one,
     mesh,
 )
-from thorvaldc.compiler.extras import xacro_expand
-from thorvaldc.compiler.extras.load_extras import ExtraParts, load_extras
-from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics import Span
 from thorvaldc.model import Box, Cylinder, MeshShape, Sphere
-
-
-def test_a_robot_without_extras_starts_no_worker(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(xacro_expand, "expand", None)
-    report = Report()
-    parts = load_extras([], tmp_path, links={}, joints={}, attach=attach, report=report)
-    assert parts == ExtraParts()
 
 
 def test_a_root_link_is_mounted_on_the_parent_at_its_pose(tmp_path: Path) -> None:

@@ -63,26 +63,26 @@ def test_a_driven_joint_has_a_servo(
 ) -> None:
     loaded = load_joint(tmp_path, extension)
     assert loaded.codes == []
-    (servo,) = loaded.parts.servos
+    (servo,) = loaded.parts.joint_servos
     assert (servo.joint, servo.interface, servo.initial) == ("j", interface, initial)
     assert servo.span.line == 4
 
 
 @pytest.mark.parametrize("extension", [control(""), control(POSITION, joint="other"), "<gazebo/>"])
 def test_other_joints_have_none(tmp_path: Path, extension: str) -> None:
-    assert load_joint(tmp_path, extension).parts.servos == ()
+    assert load_joint(tmp_path, extension).parts.joint_servos == ()
 
 
 def test_fixed_and_mimic_joints_have_none(tmp_path: Path) -> None:
-    assert load_joint(tmp_path, control(POSITION), "fixed").parts.servos == ()
+    assert load_joint(tmp_path, control(POSITION), "fixed").parts.joint_servos == ()
     mimic = '<mimic joint="frame_mount"/>'
-    assert load_joint(tmp_path, control(POSITION), more=mimic).parts.servos == ()
+    assert load_joint(tmp_path, control(POSITION), more=mimic).parts.joint_servos == ()
 
 
 def test_an_initial_position_outside_of_the_limits(tmp_path: Path) -> None:
     loaded = load_joint(tmp_path, control(POSITION, "-3"))
     assert loaded.codes == ["extra-initial-position"]
-    assert loaded.parts.servos[0].initial == 0.5
+    assert loaded.parts.joint_servos[0].initial == 0.5
 
 
 @pytest.mark.parametrize("interface", ["position", "velocity"])

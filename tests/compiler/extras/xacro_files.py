@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from thorvaldc.compiler.extras.join_extras import Attachment
-from thorvaldc.compiler.extras.load_extras import ExtraParts, load_extras
+from thorvaldc.compiler.extras.load_extras import load_extras
+from thorvaldc.compiler.hardware.robot_parts import RobotParts
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Diagnostic, Report, Span
 from thorvaldc.model import Joint, Link, Pose
@@ -20,7 +21,8 @@ HEAD = '<?xml version="1.0"?>\n<robot xmlns:xacro="http://www.ros.org/wiki/xacro
 
 @dataclass
 class Loaded:
-    parts: ExtraParts
+    parts: RobotParts
+    files: dict[str, Path]
     report: Report
 
     @property
@@ -41,12 +43,13 @@ class Loaded:
 
 def attach(text: str | None) -> Attachment | None:
     return {
-        None: Attachment("frame_body", Pose()),
-        "frame": Attachment("frame_body", Pose()),
-        "frame.side": Attachment(
-            "frame_body", Pose.from_xyz_rpy((0.0, 1.0, 0.0), (0.0, 0.0, math.pi / 2))
+        None: ("frame_body", Pose()),
+        "frame": ("frame_body", Pose()),
+        "frame.side": (
+            "frame_body",
+            Pose.from_xyz_rpy((0.0, 1.0, 0.0), (0.0, 0.0, math.pi / 2)),
         ),
-        "frame.top": Attachment("frame_body", Pose((0.0, 0.0, 0.5))),
+        "frame.top": ("frame_body", Pose((0.0, 0.0, 0.5))),
     }.get(text)
 
 
@@ -57,14 +60,20 @@ def load(folder: Path, entries: str, **files: str | bytes) -> Loaded:
         path = folder.joinpath(*f"{stem}.{suffix}".split("__"))
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data.encode() if isinstance(data, str) else data)
-    report = Report()
+    report, read_files = Report(), dict[str, Path]()
     node = read_text(entries.encode(), "robot.yaml", report)
     assert node is not None, list(report)
     assert isinstance(node.value, tuple)
     parts = load_extras(
-        node.value, folder, links=LINKS, joints=JOINTS, attach=attach, report=report
+        node.value,
+        folder,
+        links=LINKS,
+        joints=JOINTS,
+        attach=attach,
+        files=read_files,
+        report=report,
     )
-    return Loaded(parts, report)
+    return Loaded(parts, read_files, report)
 
 
 def load_one(folder: Path, body: str, entry: str = "") -> Loaded:

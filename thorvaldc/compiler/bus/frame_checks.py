@@ -158,55 +158,38 @@ def _selectors_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: 
 
 def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
     """Checks that CAN signals share bits only if different multiplexer values select them."""
-    if _masks_are_apart(signals):
-        return True
-    always: dict[int, Signal] = {}
-    selected: dict[int, dict[int, Signal]] = {}  # bit -> multiplexer value -> signal
-    pairs: dict[tuple[str, str], tuple[Signal, Signal]] = {}
-    for signal in signals:
-        for bit in range(signal.start, signal.start + signal.length):
-            selected_here = selected.setdefault(bit, {})
-            others = [always[bit]] if bit in always else []
-            if signal.selected_by:
-                others += [selected_here[v] for v in signal.selected_by if v in selected_here]
-                for value in signal.selected_by:
-                    selected_here.setdefault(value, signal)
-            else:
-                others += selected_here.values()
-                always.setdefault(bit, signal)
-            for other in others:
-                if other is not signal:
-                    pairs.setdefault((other.name, signal.name), (other, signal))
-    for first, second in pairs.values():
+    fits = True
+    always, all_bits, selected = 0, 0, dict[int, int]()  # selected: bits by multiplexer value
+    for number, signal in enumerate(signals):
+        values, mask = set(signal.selected_by), _mask(signal)
+        used = always if values else all_bits
+        for value in values:
+            used |= selected.get(value, 0)
+            selected[value] = selected.get(value, 0) | mask
+        always |= 0 if values else mask
+        all_bits |= mask
+        if not used & mask:
+            continue
+        fits = False
+        first = next(
+            other
+            for other in signals[:number]
+            if _mask(other) & mask
+            and (not values or not other.selected_by or values & {*other.selected_by})
+        )
         report.add(
             "can-signal-overlap",
             f"the signals `{first.name}` (bits {first.start} to "
-            f"{first.start + first.length - 1}) and `{second.name}` (bits {second.start} to "
-            f"{second.start + second.length - 1}) share bits",
-            span_of[second.name],
+            f"{first.start + first.length - 1}) and `{signal.name}` (bits {signal.start} to "
+            f"{signal.start + signal.length - 1}) share bits",
+            span_of[signal.name],
             labels=[Label(span_of[first.name], "first used here")],
         )
-    return not pairs
+    return fits
 
 
-def _masks_are_apart(signals: Sequence[Signal]) -> bool:
-    """Returns whether the CAN frame has no overlapping signals.
-
-    The check with bit masks is fast, but does not find out which CAN signals overlap.
-    """
-    always, selected = 0, dict[int, int]()
-    for signal in signals:
-        mask = ((1 << signal.length) - 1) << signal.start
-        if signal.selected_by:
-            for value in signal.selected_by:
-                if selected.get(value, 0) & mask:
-                    return False
-                selected[value] = selected.get(value, 0) | mask
-        elif always & mask:
-            return False
-        else:
-            always |= mask
-    return not any(always & mask for mask in selected.values())
+def _mask(signal: Signal) -> int:
+    return ((1 << signal.length) - 1) << signal.start
 
 
 def check_scales(

@@ -22,6 +22,7 @@ from thorvaldc.compiler.bus import device_sections as sections
 from thorvaldc.compiler.bus.device_frames import CHANNEL_DIMENSIONS, channel_names, frames_of
 from thorvaldc.compiler.source import node as source
 from thorvaldc.compiler.source.dimensions import EXPECTED
+from thorvaldc.compiler.source.node import yaml_text
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
@@ -417,20 +418,13 @@ def lock_text(robot: Robot, file: str) -> str:
     for bus in robot.buses:
         pinned = [node for node in bus.nodes if node.automatic]
         if pinned:
-            lines.append(f"  {_key(bus.name)}:\n")
+            lines.append(f"  {yaml_text(bus.name)}:\n")
         for id_space in dict.fromkeys(node.id_space for node in pinned):
-            lines.append(f"    {_key(id_space)}:\n")
-            lines += [f"      {_key(n.module)}: {n.id}\n" for n in pinned if n.id_space == id_space]
+            lines.append(f"    {yaml_text(id_space)}:\n")
+            lines += [
+                f"      {yaml_text(n.module)}: {n.id}\n" for n in pinned if n.id_space == id_space
+            ]
     return "".join(lines)
-
-
-def _key(name: str) -> str:
-    """Returns the name of a device as a YAML key.
-
-    The words `true`, `false` and `null` need quotes, because YAML does not read them as text.
-    Device names have only lower-case letters, so no other YAML key needs quotes.
-    """
-    return f'"{name}"' if name in ("true", "false", "null") else name
 
 
 def has_pins(robot: Robot) -> bool:

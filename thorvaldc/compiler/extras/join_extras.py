@@ -16,19 +16,8 @@ from thorvaldc.compiler.values.document_section import read_pose
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.model import Joint, JointServo, Link, Mesh, Pose
 
-
-@dataclass(frozen=True, slots=True)
-class Attachment:
-    """A mounting position for a xacro file on a link of the robot.
-
-    - ``link``: name of the link.
-    - ``pose``: pose of the mounting position in the link frame.
-    """
-
-    link: str
-    pose: Pose
-
-
+Attachment = tuple[str, Pose]
+"""A mounting position on the robot: name of the link, and pose in the link frame."""
 # Function that returns the mounting position for the value of the key `parent` in the section
 # `extras`.  The value `None` of `parent` selects the root module of the robot.  A robot without a
 # module, module port or link with the name in `parent` gives `None`.
@@ -65,11 +54,11 @@ class Attachments:
         module of the assembly that has links.
         """
         if reference is None:
-            return Attachment(self.root_link, Pose())
+            return self.root_link, Pose()
         if reference in self.link_names:
-            return Attachment(reference, Pose())
+            return reference, Pose()
         if reference in self.first_links:
-            return Attachment(self.first_links[reference], Pose())
+            return self.first_links[reference], Pose()
         # References to unknown links or modules are reported when the extras are read.
         references = References(Report())
         node = Node(reference, self.document.span)
@@ -79,12 +68,12 @@ class Attachments:
             if leaf.type is not None and leaf.path in self.first_links:
                 port = leaf.type.section("ports")[port_name]
                 link = leaf.scope.text(port.get("link")) or self.hardware[leaf.path].links[0].name
-                return Attachment(f"{name_prefix(leaf.path)}_{link}", read_pose(port, leaf.scope))
+                return f"{name_prefix(leaf.path)}_{link}", read_pose(port, leaf.scope)
         part_and_rest = references.find(self.robot, reference, node)
         if part_and_rest is not None and not part_and_rest[1]:
             for leaf in part_and_rest[0].leaves():
                 if leaf.path in self.first_links:
-                    return Attachment(self.first_links[leaf.path], Pose())
+                    return self.first_links[leaf.path], Pose()
         return None
 
 
@@ -217,9 +206,9 @@ class ExtrasJoiner:
         attachment = self.attachment(entry)
         if attachment is None:
             return replace(parts, links=(), joints=()), True
-        start = attachment.pose * entry.pose
+        link_name, start = attachment
         joints = tuple(
-            replace(joint, parent=attachment.link, pose=(start * joint.pose).clean())
+            replace(joint, parent=link_name, pose=(start * joint.pose).clean())
             if joint.parent == WORLD
             else joint
             for joint in parts.joints
@@ -317,14 +306,14 @@ class ExtrasJoiner:
         return joint_to
 
     def attachment(self, entry: Placement) -> Attachment | None:
-        """Returns the mounting position of a xacro file on the robot.
+        """Returns the link and the pose on it where the root links of a xacro file are mounted.
 
         Returns ``None``, and reports an error, if the robot has no such position.
         """
         text = str(entry.parent.value) if entry.parent is not None else None
         attachment = self.attach(text)
         if attachment is None and text is not None and text in self.links:
-            attachment = Attachment(text, Pose())
+            attachment = text, Pose()
         if attachment is None:
             self.report.add(
                 "extra-parent",
@@ -332,7 +321,8 @@ class ExtrasJoiner:
                 entry.parent.span if entry.parent is not None else entry.span,
                 hint=did_you_mean(text or "", list(self.links)),
             )
-        return attachment
+            return None
+        return attachment[0], attachment[1] * entry.pose
 
     def mount(self, entry: Placement, roots: Sequence[Link]) -> list[Joint]:
         """Returns the fixed joints that mount the root links of a xacro file on the robot.
@@ -353,6 +343,7 @@ class ExtrasJoiner:
         attachment = self.attachment(entry)
         if attachment is None:
             return []
+        parent, pose = attachment[0], attachment[1].clean()
         mounts: list[Joint] = []
         for link in roots:
             name = f"{link.name}_mount"
@@ -364,10 +355,7 @@ class ExtrasJoiner:
                     labels=[Label(self.joints[name], "first defined here")],
                 )
                 continue
-            pose = (attachment.pose * entry.pose).clean()
-            mounts.append(
-                Joint(name, link.module, "fixed", attachment.link, link.name, pose, entry.span)
-            )
+            mounts.append(Joint(name, link.module, "fixed", parent, link.name, pose, entry.span))
         return mounts
 
     def report_cycle(self, link: Link, joint_to: Mapping[str, Joint]) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from thorvaldc.compiler.extras import join_extras, xacro_expand
@@ -29,7 +29,7 @@ from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import ValueReader, items
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.diagnostics.report import grouped
-from thorvaldc.model import Joint, JointServo, Link, Mesh, Pose, Vec3
+from thorvaldc.model import Mesh, Vec3
 from thorvaldc.schema import inlined
 
 
@@ -55,44 +55,17 @@ def add_extras(
     files : the function adds each file that was read, by the name of the file in spans.
     trust : whether xacro files are expanded without restrictions.
     """
-    extra_parts = load_extras(
+    added = load_extras(
         items(document.get("extras")),
         base_dir,
         links={link.name: link.span for link in parts.links},
         joints={joint.name: joint.span for joint in parts.joints},
         attach=join_extras.Attachments(document, robot, hardware, parts).find,
+        files=files,
         report=report,
         trust=trust,
     )
-    files.update(extra_parts.files)
-    added = RobotParts(
-        links=extra_parts.links,
-        joints=extra_parts.joints,
-        joint_servos=extra_parts.servos,
-        meshes=extra_parts.meshes,
-        urdf_extensions=extra_parts.urdf_extensions,
-    )
     return RobotParts.joined([parts, added])
-
-
-@dataclass(frozen=True, slots=True)
-class ExtraParts:
-    """Links, joints and meshes from all xacro files in the section ``extras`` of a robot file.
-
-    - ``links``: new links.  In the list of links, a parent link comes before its child links.
-    - ``servos``: servos of the joints.
-    - ``urdf_extensions``: XML text of the elements that are written only to URDF.
-    - ``files``: path of each xacro file, by the name of the file in source spans.  The path of a
-      file begins with the folder of the robot file, unless the file belongs to an installed ROS
-      package.
-    """
-
-    links: tuple[Link, ...] = ()
-    joints: tuple[Joint, ...] = ()
-    meshes: tuple[Mesh, ...] = ()
-    urdf_extensions: tuple[str, ...] = ()
-    servos: tuple[JointServo, ...] = ()
-    files: dict[str, Path] = field(default_factory=dict)
 
 
 def load_extras(
@@ -102,71 +75,57 @@ def load_extras(
     links: Mapping[str, Span],
     joints: Mapping[str, Span],
     attach: join_extras.FindAttachment,
+    files: dict[str, Path],
     report: Report,
     trust: bool = False,
-) -> ExtraParts:
-    """Loads the xacro files in the section ``extras`` of a robot file.
+) -> RobotParts:
+    """Returns the links, joints, servos, meshes and URDF extensions of xacro files.
+
+    In the list of links, a parent link comes before its child links.  If a xacro file has errors,
+    some of its links and joints are missing.
 
     - ``entries``: entries of the section ``extras`` in the robot file.
     - ``base_dir``: folder of the robot file.
     - ``links``: source span of each link of the robot, by the name of the link.
     - ``joints``: source span of each joint of the robot, by the name of the joint.
     - ``attach``: function that finds the mounting position of an entry.
-    - ``report``: report that receives the errors.  If a xacro file has errors, some of its links
-      and joints are missing in the result.
+    - ``files``: the function adds each xacro file, by the name of the file in source spans.  The
+      path of a file begins with the folder of the robot file, unless the file belongs to an
+      installed ROS package.
     - ``trust``: whether the user trusts the xacro files as he trusts a program.
-
-    If ``entries`` is empty, no worker process for xacro is started.
     """
-    if not entries:
-        return ExtraParts()
-    diagnostics = Report()
-    parts = _load(entries, base_dir, links, joints, attach, diagnostics, trust)
-    report.extend(grouped(diagnostics))
-    return parts
-
-
-def _load(
-    entries: Sequence[Node],
-    base_dir: Path,
-    links: Mapping[str, Span],
-    joints: Mapping[str, Span],
-    attach: join_extras.FindAttachment,
-    report: Report,
-    trust: bool,
-) -> ExtraParts:
     relative_dir, base_dir = base_dir, base_dir.absolute()
     display = str(Path(entries[0].span.file).parent)
     paths = xacro_expand.DisplayPaths(base_dir, "" if display == "." else display, {})
-    all_entries = [_Entry.read(node, base_dir, paths, report) for node in entries]
+    diagnostics = Report()
+    all_entries = [_Entry.read(node, base_dir, paths, diagnostics) for node in entries]
     valid_entries = [entry for entry in all_entries if entry is not None]
-    joiner = join_extras.ExtrasJoiner(dict(links), dict(joints), attach, report)
-    requests = [
-        xacro_expand.ExpansionRequest(e.file, e.args, e.packages, e.env) for e in valid_entries
-    ]
+    joiner = join_extras.ExtrasJoiner(dict(links), dict(joints), attach, diagnostics)
+    requests = [entry.request for entry in valid_entries]
     folders = (
         None
         if trust
         else xacro_expand.readable_folders(requests, base_dir, xacro_expand.search_paths())
     )
-    files: dict[str, Path] = {}
     expanded_files = xacro_expand.expand(requests, paths, trust=trust)
     for entry, expanded_file in zip(valid_entries, expanded_files, strict=True):
         for name, file in expanded_file.files.items():
             installed = name.startswith("package://")
             files[name] = file if installed else relative_dir / os.path.relpath(file, base_dir)
-        parts = _read_parts(entry, expanded_file, folders, report)
+        parts = _read_parts(entry, expanded_file, folders, diagnostics)
         if parts is not None:
-            joiner.add(entry.placement(expanded_file.known_arguments), parts)
+            arguments = expanded_file.known_arguments
+            joiner.add(replace(entry.placement, arguments=arguments), parts)
     joiner.check_mimics()
-    check_controls(joiner.controls, joiner.new_joints, joints, report)
-    return ExtraParts(
-        tuple(joiner.new_links),
-        tuple(joiner.new_joints),
-        tuple(joiner.meshes.values()),
-        tuple(joiner.extensions),
-        servos_of(joiner.stated_servos, joiner.new_joints, report),
-        files,
+    check_controls(joiner.controls, joiner.new_joints, joints, diagnostics)
+    servos = servos_of(joiner.stated_servos, joiner.new_joints, diagnostics)
+    report.extend(grouped(diagnostics))
+    return RobotParts(
+        links=tuple(joiner.new_links),
+        joints=tuple(joiner.new_joints),
+        joint_servos=servos,
+        meshes=tuple(joiner.meshes.values()),
+        urdf_extensions=tuple(joiner.extensions),
     )
 
 
@@ -175,24 +134,13 @@ class _Entry:
     """An entry of the section ``extras`` in a robot file, which adds a xacro file to the robot."""
 
     node: Node
-    file: Path
-    args: dict[str, str]
-    env: dict[str, str]
-    packages: dict[str, str]
-    parent: Node | None
-    pose: Pose
+    request: xacro_expand.ExpansionRequest
+    placement: join_extras.Placement
     density: float | None  # of links without <inertial>, in kg/m^3
-    placement_node: Node | None  # first of the keys parent, xyz and rpy that the entry contains
 
     @property
     def span(self) -> Span:
-        file_node = self.node.get("xacro")
-        return file_node.span if file_node is not None else self.node.span
-
-    def placement(self, arguments: Sequence[str]) -> join_extras.Placement:
-        return join_extras.Placement(
-            self.span, self.parent, self.pose, self.placement_node, arguments
-        )
+        return self.placement.span
 
     @staticmethod
     def read(
@@ -219,16 +167,15 @@ class _Entry:
         packages = node.get("packages")
         schema = inlined("robot")["properties"]["extras"]["items"]
         values = Section(node, schema, ValueReader(report, on_robot=True))
+        args, env = (_texts(node.get(key)) for key in ("args", "env"))
+        folders = _package_folders(packages, base_dir, paths, report)
+        parent = node.get("parent")
+        placement_node = parent or node.get("xyz") or node.get("rpy")
         return _Entry(
             node,
-            file,
-            _texts(node.get("args")),
-            _texts(node.get("env")),
-            _package_folders(packages, base_dir, paths, report),
-            node.get("parent"),
-            values.pose().clean(),
+            xacro_expand.ExpansionRequest(file, args, folders, env),
+            join_extras.Placement(file_node.span, parent, values.pose().clean(), placement_node),
             values["density"],
-            node.get("parent") or node.get("xyz") or node.get("rpy"),
         )
 
 
@@ -326,7 +273,7 @@ def _read_parts(
     if not any(element.tag != "material" for element in expanded.elements):
         _report_empty(entry, expanded.macros, report)
         return None
-    stem = re.sub(r"\W+", "_", entry.file.name.split(".")[0].lower())
+    stem = re.sub(r"\W+", "_", entry.request.file.name.split(".")[0].lower())
     search = xacro_expand.search_paths()
 
     def load(name: str, element: xacro_expand.Element, scale: Vec3, is_visual: bool) -> Mesh | None:
@@ -364,13 +311,14 @@ def _read_parts(
 
     macros = [macro.name for macro in expanded.macros]
     parts = read_urdf(expanded.elements, f"extras.{stem}", load, report, macros, entry.density)
-    folders = {**expanded.packages, **entry.packages}
+    folders = {**expanded.packages, **entry.request.packages}
     extensions = tuple(_without_folders(xml, folders, paths) for xml in parts.extensions)
     return replace(parts, extensions=extensions)
 
 
 def _report_unused(entry: _Entry, expanded: xacro_expand.ExpandedFile, report: Report) -> None:
     """Reports arguments and environment variables of the entry that the xacro file does not use."""
+    stated_names = (*entry.request.args, *entry.request.env)
     for key, noun, unused, known in (
         ("args", "argument", expanded.unused_arguments, expanded.known_arguments),
         ("env", "environment variable", expanded.unused_environment, expanded.known_environment),
@@ -382,7 +330,7 @@ def _report_unused(entry: _Entry, expanded: xacro_expand.ExpandedFile, report: R
                 "extra-argument-unused",
                 f"the xacro file does not use the {noun} `{name}`",
                 value.where if value is not None else entry.span,
-                hint=did_you_mean(name, [a for a in known if a not in (*entry.args, *entry.env)])
+                hint=did_you_mean(name, [a for a in known if a not in stated_names])
                 or f"its {noun}s are " + (", ".join(f"`{a}`" for a in known) or "none"),
             )
 
@@ -398,7 +346,7 @@ def _report_failure(
     report.add(
         code,
         message.format(text=failure.text),
-        failure.span or Span(expanded.paths.name(str(entry.file))),
+        failure.span or Span(expanded.paths.name(str(entry.request.file))),
         hint=hint.format(text=failure.text)
         if hint is not None
         else _expression_hint(failure.text, expanded.macros),
@@ -430,7 +378,7 @@ def _mesh_path(
         return element.file.parent / rest
     if scheme in ("package", "model"):
         package, _, inside = rest.partition("/")
-        folder = find_package(package, entry.packages, search, str(element.file))
+        folder = find_package(package, entry.request.packages, search, str(element.file))
         if folder is not None:
             return Path(folder) / inside
         code, message, hint = _FAILURES["package"]

@@ -11,7 +11,7 @@ import json
 import os
 from collections.abc import Iterator, Sequence
 from contextvars import ContextVar
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -239,17 +239,7 @@ def expand(
     """
     search = search_paths()
     folders = None if trust else readable_folders(requests, paths.folder, search)
-    entries = [
-        {
-            "file": str(r.file),
-            "args": r.args,
-            "env": r.env,
-            "packages": r.packages,
-            "source_layout": r.source_layout,
-            "search": search,
-        }
-        for r in requests
-    ]
+    entries = [{**asdict(r), "file": str(r.file), "search": search} for r in requests]
     remembered = _remembered.get()
     if remembered is None:
         answers = _answers(entries, folders)

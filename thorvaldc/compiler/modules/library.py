@@ -63,6 +63,17 @@ class ModuleType:
         return str(category.value) if category is not None else self.name.split("/")[0]
 
     @property
+    def description(self) -> str:
+        """Description of the module type in one line, or an empty text."""
+        node = self.document.get("description")
+        return " ".join(str(node.value).split()) if node is not None else ""
+
+    @property
+    def summary(self) -> str:
+        """First sentence of the description."""
+        return self.description.split(". ")[0].rstrip(".") + "."
+
+    @property
     def library_folder(self) -> Path:
         """Folder to which the name of the module type is relative."""
         return self.folder.parents[self.name.count("/")]

@@ -40,7 +40,8 @@ class Node(NamedTuple):
 
         Returns ``None`` if the YAML mapping has no such key, or if the YAML value is not a mapping.
         """
-        return self.value.get(key) if isinstance(self.value, dict) else None
+        value = self.value
+        return value.get(key) if isinstance(value, dict) else None
 
     def children(self) -> Iterable[tuple[str | int, Node]]:
         """Returns the entries of a YAML mapping with their keys, or the elements of a YAML list

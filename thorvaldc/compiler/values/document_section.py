@@ -9,7 +9,8 @@ none of them again.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import operator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from thorvaldc.compiler.source.node import Node
@@ -23,6 +24,12 @@ from thorvaldc.schema import Kind, inlined
 Schema = dict[str, Any]
 _ZERO = (0.0, 0.0, 0.0)
 _EMPTY: dict[str, Any] = {"array": (), "object": {}, "string": ""}
+_BOUNDS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
+    "x-minimum": ("at least", operator.ge),
+    "x-exclusive-minimum": ("more than", operator.gt),
+    "x-maximum": ("at most", operator.le),
+}
+"""Words for each bound of a quantity, and whether a value is within it."""
 
 
 class Section:
@@ -58,12 +65,14 @@ class Section:
 
     def _stated(self, key: str) -> Any:
         """Returns the value that the document states, or ``INVALID``."""
+        entry = self._entries.get(key)
+        if entry is None:
+            return INVALID
         if key not in self._values:
-            others, entry = self._schema.get("additionalProperties"), self._entries.get(key)
+            others = self._schema.get("additionalProperties")
             schema = self._schema.get("properties", {}).get(key, others)
-            self._values[key] = INVALID
-            if entry is not None and isinstance(schema, dict):  # else a reported unknown key
-                self._values[key] = self._convert(entry, schema, key)
+            is_known = isinstance(schema, dict)  # else a reported unknown key
+            self._values[key] = self._convert(entry, schema, key) if is_known else INVALID
         return self._values[key]
 
     def read(self) -> Section:
@@ -136,35 +145,45 @@ class Section:
         value = node.value
         if isinstance(value, dict):
             return Section(node, schema, self._reader, self._alternative)
-        inner = schema.get("items", {})
         if isinstance(value, tuple):
-            values = (self._convert(element, inner, key) for element in value)
+            inner = schema.get("items", {})
+            values = [self._convert(element, inner, key) for element in value]
             if "x-quantity" in inner:  # A vector keeps its length.
                 return tuple(0.0 if value is INVALID else value for value in values)
             return tuple(value for value in values if value is not INVALID)
         if value is None:
             return INVALID  # The schema check has already reported the invalid value.
-        if schema.get("x-verbatim") or value in schema.get("x-words", ()):
+        quantity = self._quantity(schema)
+        if quantity is None:
+            return self._scalar(node, schema, key)
+        if value in schema.get("x-words", ()):
             return value
+        number = self._reader.quantity(node, quantity, math.nan)
+        if math.isnan(number):
+            return INVALID
+        is_whole = "integer" in schema.get("type", ())
+        if is_whole and not number.is_integer():
+            message = f"`{key}` is {number:.6g}; it must be a whole number"
+            self._reader.report.add("wrong-type", message, node.span)
+            return INVALID
+        if not self._is_within(number, schema, key, node.span):
+            return INVALID
+        return round(number) if is_whole else number
+
+    def _scalar(self, node: Node, schema: Schema, key: str) -> Any:
+        if schema.get("x-verbatim"):
+            return node.value
+        inner, kind = schema.get("items", {}), schema.get("type")
         if "x-quantity" in inner:  # An expression gives the vector.
             numbers = self._reader.numbers(node, inner["x-quantity"], schema["minItems"])
             is_valid = numbers is INVALID or all(
                 self._is_within(number, inner, key, node.span) for number in numbers
             )
             return numbers if is_valid else INVALID
-        quantity = self._quantity(schema)
-        if quantity is None:
-            return self._scalar(node, schema)
-        number = self._reader.quantity(node, quantity, math.nan)
-        if math.isnan(number):
-            return INVALID
-        if "integer" in schema.get("type", ()) and not number.is_integer():
-            message = f"`{key}` is {number:.6g}; it must be a whole number"
-            self._reader.report.add("wrong-type", message, node.span)
-            return INVALID
-        if not self._is_within(number, schema, key, node.span):
-            return INVALID
-        return round(number) if "integer" in schema.get("type", ()) else number
+        if kind == "string":
+            return self._reader.of_type(str, node)
+        is_boolean = kind in ("boolean", ["boolean", "string"])
+        return self._reader.of_type(bool, node) if is_boolean else self._reader.value(node)
 
     def _is_within(
         self, value: float, schema: Schema, key: str, span: Span, bounds: Schema | None = None
@@ -173,30 +192,26 @@ class Section:
 
         ``bounds``: bounds instead of those of the schema.
         """
-        bounds, quantity = bounds or schema, self._quantity(schema) or "number"
-
-        def in_si(keyword: str, otherwise: float) -> float:
-            bound = bounds.get(keyword, otherwise)
-            return parse_quantity(bound, quantity) if isinstance(bound, str) else bound
-
-        least, lower = in_si("x-minimum", -math.inf), in_si("x-exclusive-minimum", -math.inf)
-        most = in_si("x-maximum", math.inf)
-        if least <= value <= most and value > lower:
+        bounds = {name: (bounds or schema)[name] for name in _BOUNDS if name in (bounds or schema)}
+        if not bounds:
+            return True
+        quantity = self._quantity(schema) or "number"
+        limits = {
+            name: parse_quantity(bound, quantity) if isinstance(bound, str) else bound
+            for name, bound in bounds.items()
+        }
+        if all(_BOUNDS[name][1](value, limit) for name, limit in limits.items()):
             return True
         kind = QUANTITIES[quantity]
-        words = {
-            "x-minimum": "at least",
-            "x-exclusive-minimum": "more than",
-            "x-maximum": "at most",
-        }
         parts = [
-            f"{word} {bound if isinstance(bound, str) else kind.format_value(bound)}"
-            for keyword, word in words.items()
-            if (bound := bounds.get(keyword)) is not None
+            f"{_BOUNDS[name][0]} {bound if isinstance(bound, str) else kind.format_value(bound)}"
+            for name, bound in bounds.items()
         ]
         needed = f"be {' and '.join(parts)}"
-        if len(parts) == 1 and max(least, lower) == 0.0:
-            needed = "be positive" if lower == 0.0 else "not be negative"
+        if limits == {"x-exclusive-minimum": 0.0}:
+            needed = "be positive"
+        elif limits == {"x-minimum": 0.0}:
+            needed = "not be negative"
         shown = kind.format_value(value)
         if kind.unit == "rad" and value:
             shown += f" ({math.degrees(value):.6g} deg)"
@@ -206,12 +221,6 @@ class Section:
             span,
         )
         return False
-
-    def _scalar(self, node: Node, schema: Schema) -> Any:
-        if schema.get("type") == "string":
-            return self._reader.of_type(str, node)
-        is_boolean = schema.get("type") in ("boolean", ["boolean", "string"])
-        return self._reader.of_type(bool, node) if is_boolean else self._reader.value(node)
 
     def _quantity(self, schema: Schema) -> str | None:
         kinds: str | list[str] | None = schema.get("x-quantity")

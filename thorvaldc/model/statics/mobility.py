@@ -151,14 +151,15 @@ def tightest_turn(robot: Robot) -> Center | None:
 
     Returns ``None`` if the wheels allow no turn without slip.
     """
-    lines = [lateral_row(wheel, wheel.heading) for wheel in robot.wheels if _is_fixed(wheel)]
+    lines = fixed_rows(robot)
     fixed_count = len(lines)
     joints = {joint.name: joint for joint in robot.joints}
     for wheel in robot.wheels:
         joint = joints.get(wheel.steering_joint or "")
         for limit in (joint.lower, joint.upper) if joint is not None else ():
             if limit is not None:
-                c, s = _direction(wheel.heading + wheel.steering_sign * limit)
+                angle = wheel.heading + wheel.steering_sign * limit
+                c, s = math.cos(angle), math.sin(angle)
                 lines.append((-s, c, c * wheel.x + s * wheel.y + wheel.trail))
     candidates = [(0.0, 0.0), *(_nearest_point(line) for line in lines)]
     for i, line in enumerate(lines):
@@ -170,14 +171,6 @@ def tightest_turn(robot: Robot) -> Center | None:
         if roll_speeds(robot, (y, -x, 1.0)) is not None:
             return x, y
     return None
-
-
-def _is_fixed(wheel: Wheel) -> bool:
-    return wheel.steering_joint is None and wheel.swivel_joint is None
-
-
-def _direction(angle: float) -> tuple[float, float]:
-    return math.cos(angle), math.sin(angle)
 
 
 def _nearest_point(line: Row) -> Center:

@@ -316,28 +316,19 @@ def _stops_of(robot: Robot) -> Iterator[SlopeStop]:
 
 def _brakes_of(robot: Robot) -> list[_Brake]:
     tree = tree_of(robot)
-    motors = {
-        motor.joint: motor for _, motor in stopping.driven_wheels(robot.wheels, robot.actuators)
-    }
     brakes = []
-    for wheel in robot.wheels:
-        axle, motor = robot.joint(wheel.spin_joint), motors.get(wheel.spin_joint)
+    for wheel, axle, motor in _drives(robot):
         body = tree.inertial(tree.links_below(axle.child))
         xx, yy, zz, xy, xz, yz = body.inertia
         x, y, z = tree.pose[axle.child].rotate(axle.axis)
         inertia = xx * x * x + yy * y * y + zz * z * z
         inertia += 2.0 * (xy * x * y + xz * x * z + yz * y * z) + axle.armature
-        powered = unpowered = axle.friction
-        if motor is not None:
-            powered += motor.max_torque
-            unpowered += motor.back_driving_torque
-            unpowered += motor.brake.torque if motor.brake is not None else 0.0
         brakes.append(
             _Brake(
                 motor.name if motor is not None else "",
                 wheel.radius,
-                powered,
-                unpowered,
+                axle.friction + (motor.max_torque if motor is not None else 0.0),
+                _torque_without_power(axle, motor, braked=True),
                 inertia / wheel.radius**2,
                 wheel.rolling_resistance,
                 wheel.friction,
@@ -457,13 +448,19 @@ def _resistance(
     wheel: Wheel, axle: Joint, motor: Actuator | None, load: float, braked: bool
 ) -> float:
     """Return the largest force in N with which a wheel without power resists motion."""
+    torque = _torque_without_power(axle, motor, braked=braked)
+    force = wheel.rolling_resistance * load + torque / wheel.radius
+    return min(force, wheel.friction * load)
+
+
+def _torque_without_power(axle: Joint, motor: Actuator | None, *, braked: bool) -> float:
+    """Return the largest torque in N m with which a drive without power resists motion."""
     torque = axle.friction
     if motor is not None:
         torque += motor.back_driving_torque
         if braked and motor.brake is not None:
             torque += motor.brake.torque
-    force = wheel.rolling_resistance * load + torque / wheel.radius
-    return min(force, wheel.friction * load)
+    return torque
 
 
 def _steepest(robot: Robot, drives: list[_Drive], *, braked: bool) -> float:

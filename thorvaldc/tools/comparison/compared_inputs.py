@@ -9,10 +9,9 @@ import subprocess
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from thorvaldc.comparison.module_changes import Outline, outline_of_file
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import DiagnosticError, Label, Report, Span, did_you_mean
@@ -185,48 +184,26 @@ def _git(
 MAX_MESH_BYTES = 64_000_000
 
 
-@dataclass
-class ComparedInput:
-    """A robot or fleet to compare.
-
-    Attributes
-    ----------
-    name : name of the input, as the user gave it.
-    model : the robot or the fleet.  ``None`` if there are errors.
-    modules : modules of the robot file, or of each robot of a fleet by its name.  Empty for a
-        build, whose model has no module types.
-    report : all diagnostics.
-    sources : path of each file in ``report``, for excerpts.
-    """
-
-    name: str
-    model: Robot | Fleet | None = None
-    modules: dict[str, Outline] = field(default_factory=dict)
-    report: Report = field(default_factory=Report)
-    sources: dict[str, Path] = field(default_factory=dict)
-
-
 def read_input(
     name: str, temporary: ExitStack, library: Sequence[Path] = (), *, trust: bool = False
-) -> ComparedInput:
-    """Reads one input of a comparison.
+) -> Compilation:
+    """Reads one input of a comparison, and returns it with its diagnostics.
 
     ``name``: a robot file, a fleet file, a build folder, a ``model.json`` or a file of a git
     revision such as ``HEAD~1:robot.yaml``.  ``temporary``: the files of a revision are removed when
     this stack is closed; until then, excerpts of them can be shown.  ``library``: additional
     folders with modules.
     """
-    compared = ComparedInput(name)
     try:
         revision = split_revision(name)
-        if revision is not None:
-            file = temporary.enter_context(exported_revision(*revision, Path.cwd()))
-            inside = [_in_revision(each, file.repository, file.root) for each in library]
-            _read(compared, file.path, inside, trust)
-            _rename_files(compared, file.root, f"{revision[0]}:")
-        else:
-            _read(compared, Path(name), library, trust)
+        if revision is None:
+            return _read(Path(name), library, trust)
+        file = temporary.enter_context(exported_revision(*revision, Path.cwd()))
+        inside = [_in_revision(each, file.repository, file.root) for each in library]
+        compared = _read(file.path, inside, trust)
+        _rename_files(compared, file.root, f"{revision[0]}:")
     except DiagnosticError as error:
+        compared = Compilation()
         compared.report.put(error.diagnostic)
     return compared
 
@@ -242,18 +219,11 @@ def revision_hint(before: str, after: str) -> str | None:
     return None
 
 
-def _read(compared: ComparedInput, path: Path, library: Sequence[Path], trust: bool) -> None:
+def _read(path: Path, library: Sequence[Path], trust: bool) -> Compilation:
     if path.is_dir() or is_model_file(path) or path.suffix == ".json":
         folder = path if path.is_dir() else path.parent
-        compared.model = _with_meshes(load_model(path), folder / "meshes")
-        return
-    compilation = compile_file(path, library=library, trust=trust)
-    compared.model = compilation.model
-    compared.report, compared.sources = compilation.report, compilation.sources
-    if isinstance(compilation.model, Robot):
-        compared.modules = {"": outline_of_file(path, library, compilation.model)}
-    elif isinstance(compilation.model, Fleet):
-        compared.modules = _fleet_modules(path, library, compilation, compilation.model)
+        return Compilation(_with_meshes(load_model(path), folder / "meshes"))
+    return compile_file(path, library=library, trust=trust)
 
 
 def _with_meshes(model: Robot | Fleet, folder: Path) -> Robot | Fleet:
@@ -278,18 +248,6 @@ def _robot_with_meshes(robot: Robot, folder: Path) -> Robot:
     return replace(robot, meshes=tuple(meshes))
 
 
-def _fleet_modules(
-    path: Path, library: Sequence[Path], compilation: Compilation, fleet: Fleet
-) -> dict[str, Outline]:
-    """Returns the modules of each robot of a fleet."""
-    modules: dict[str, Outline] = {}
-    for placement in fleet.placements:
-        file = compilation.files.get(placement.robot.span.file)
-        if file is not None:
-            modules[placement.name] = outline_of_file(file, library, placement.robot)
-    return modules
-
-
 def _in_revision(folder: Path, repository: Path, root: Path) -> Path:
     """Returns the folder of the revision for a library folder of the repository."""
     try:
@@ -299,7 +257,7 @@ def _in_revision(folder: Path, repository: Path, root: Path) -> Path:
     return inside if inside.is_dir() else folder
 
 
-def _rename_files(compared: ComparedInput, root: Path, prefix: str) -> None:
+def _rename_files(compared: Compilation, root: Path, prefix: str) -> None:
     """Replaces paths of the temporary folder by the names of the files in the revision."""
 
     def named(path: str) -> str:

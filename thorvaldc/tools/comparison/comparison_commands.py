@@ -43,6 +43,7 @@ def diff(
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.comparison import difference_text
+    from thorvaldc.comparison.module_changes import outlines_of
     from thorvaldc.comparison.robot_comparison import compare_models
     from thorvaldc.diagnostics.files import write_file
     from thorvaldc.model import Fleet
@@ -63,7 +64,7 @@ def diff(
                     diagnostic_output.message(f"hint: {hint}")
                 return status or INPUT
             models.append(compared.model)
-            outlines.append(compared.modules)
+            outlines.append(outlines_of(compared))
     difference = compare_models(models[0], models[1], outlines)
     if difference is None:
         kinds = [

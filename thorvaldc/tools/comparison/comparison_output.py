@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from thorvaldc.comparison.difference_text import EQUAL, headline, sections_of, summaries_of
-from thorvaldc.comparison.robot_difference import Difference
 from thorvaldc.diagnostics import text_layout
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.facts.fact_page import escape, table_html
 from thorvaldc.model.facts.fact_tables import FactTable, fact_tables
 from thorvaldc.model.facts.robot_facts import RobotFacts
+
+if TYPE_CHECKING:
+    from thorvaldc.comparison.robot_difference import Difference
 
 WIDTH = 80
 _LONG = ("modules", "sources")
@@ -50,6 +52,9 @@ def difference_page(difference: Difference, before: Robot | Fleet, after: Robot 
 
 
 def _panel(difference: Difference) -> Iterator[str]:
+    # Facts of one robot need no comparison.
+    from thorvaldc.comparison.difference_text import EQUAL, headline, sections_of, summaries_of
+
     title = escape(headline(difference))
     if difference.is_equal:
         yield f"<p>{title}: {EQUAL}</p>"

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Literal
 
-from thorvaldc.compiler.catalogue import first_sentence
 from thorvaldc.compiler.scaffolding import presets, robot_text
 from thorvaldc.compiler.source.node import KeyPath, Node, yaml_text
 from thorvaldc.compiler.source.reader import read_text
@@ -475,7 +474,7 @@ def _types(view: ModuleView, category: object) -> Iterator[Proposed]:
     for name in view.library.names():
         module = view.load(name)
         if module is not None and category in (None, module.category):
-            yield Proposed(name, name, "Class", first_sentence(module))
+            yield Proposed(name, name, "Class", module.summary)
 
 
 def _ports(view: ModuleView, module: str) -> Iterator[Proposed]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
-from thorvaldc.compiler.catalogue import module_facts
+from thorvaldc.compiler.modules.library import ModuleType
 from thorvaldc.compiler.source.node import KeyPath, yaml_text
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
@@ -63,8 +64,7 @@ def _reference_text(view: ModuleView, reference: Reference, model: Robot | Fleet
         module = view.load(reference.name)
         if module is None:
             return ""
-        rows = "\n".join(f"- {name}: {text}" for name, text in module_facts(module)[1:])
-        return f"**{module.name}**: {module_facts(module)[0][1]}\n\n{rows}"
+        return f"**{module.name}**: {module.description}\n\n" + "\n".join(_type_facts(module))
     if reference.kind == "port":
         port = view.port(reference.whole)
         return port_text(port) if port is not None else ""
@@ -168,10 +168,26 @@ def module_text(view: ModuleView, name: str, model: Robot | Fleet | None) -> str
     module = view.type_of(("modules", name))
     if module is None:
         return ""
-    rows = [f"**{name}**: `{module.name}`: {module_facts(module)[0][1]}"]
+    rows = [f"**{name}**: `{module.name}`: {module.description}"]
     if isinstance(model, Robot):
         rows += _facts(model, name)
     return "\n".join(rows)
+
+
+def _type_facts(module: ModuleType) -> Iterator[str]:
+    """Yields the mount kinds, ports and parts of a module type as list entries."""
+    document = module.document.plain()
+    if kinds := (document.get("mount") or {}).get("kinds"):
+        yield f"- mounts on: {', '.join(kinds)}"
+    ports = [
+        f"{name} ({port['kind']})" if isinstance(port, dict) else f"{name} = {port}"
+        for name, port in document.get("ports", {}).items()
+    ]
+    if ports:
+        yield f"- ports: {', '.join(ports)}"
+    for key in ("links", "joints", "motors", "channels", "modules"):
+        if document.get(key):
+            yield f"- {key}: {', '.join(document[key])}"
 
 
 def _facts(robot: Robot, name: str) -> list[str]:

@@ -15,7 +15,7 @@ from typing import Any
 from thorvaldc import __version__
 from thorvaldc.backends.templates import Templates
 from thorvaldc.comparison.difference_text import Section, sections_of
-from thorvaldc.comparison.module_changes import Outline, outline_of_file
+from thorvaldc.comparison.module_changes import Outline, outlines_of
 from thorvaldc.comparison.robot_comparison import compare_robots
 from thorvaldc.compiler.pipeline import compile_robot, emit_without_model
 from thorvaldc.compiler.result import SourceFile
@@ -214,7 +214,7 @@ class RobotCompiler:
             robot = compilation.model
             if not isinstance(robot, Robot):
                 return ReportRobot(number, error=compilation.report.errors[0].message)
-            outline = outline_of_file(path, library, robot)
+        outline = outlines_of(compilation)[""]
         if number == 0:
             self._start = (robot, outline)
         differences: tuple[Section, ...] = ()
