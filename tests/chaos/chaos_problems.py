@@ -9,7 +9,7 @@ from tests.chaos.invariants import PUSHED, false_reports_notice
 from thorvaldc.can.canopen import HEARTBEAT, NMT, RPDO, SYNC, TPDO
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import BusFault
-from thorvaldc.tools.fault_matrix.promised_times import CREEPING, SECOND_DEVICE, PromisedTimes
+from thorvaldc.simulation.bus.promised_times import CREEPING, SECOND_DEVICE, PromisedTimes
 
 MASTER_BUS_OFF = "master_bus_off"
 FALSE_REPORTS = "false_reports"

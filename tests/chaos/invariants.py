@@ -14,7 +14,7 @@ from tests.runtime.exploration import check_explored
 from thorvaldc.model.stopping import DRIVE_DEAD, DRIVER_DEAD, STOP_LOCK, stop_bounds
 from thorvaldc.runtime.se2 import ORIGIN, Pose2
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
-from thorvaldc.tools.fault_matrix.promised_times import CLIMB, NOT_FOLLOWING
+from thorvaldc.simulation.bus.promised_times import CLIMB, NOT_FOLLOWING
 
 if TYPE_CHECKING:
     from tests.chaos.chaos_world import ChaosWorld

@@ -14,10 +14,10 @@ from thorvaldc.model.stopping import STOP_LOCK
 from thorvaldc.ros.parameters import default_silence
 from thorvaldc.runtime.motion_supervision import SHORTEST, FollowLimits
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.simulation.bus.promised_times import rest_after
 from thorvaldc.tools.fault_matrix.fault_cases import DRIVING, MOVING_PHASES, STOPPING
 from thorvaldc.tools.fault_matrix.fault_matrix import reaction_text
 from thorvaldc.tools.fault_matrix.fault_reaction import AT_REST, STOPS, Reaction
-from thorvaldc.tools.fault_matrix.promised_times import rest_after
 
 ROBOT = "4wd4ws_wide"
 HEADINGS = ("fault", *MOVING_PHASES, "promised")

@@ -578,9 +578,15 @@ class TwistEstimator:
             tests = per_wheel
         covariance = ((p11, p12, p13), (p12, p22, p23), (p13, p23, p33))
         twist = Twist(vx, vy, wz)
-        if dropped or suspects or sliding:
-            numbers = [wheel.number for wheel in self.wheels]
-            dropped = tuple(sorted(numbers[k] for k in dropped))
-            suspects = tuple(sorted(numbers[k] for k in suspects))
-            sliding = tuple(sorted(numbers[k] for k in sliding))
-        return TwistEstimate(twist, covariance, rank, tuple(tests), dropped, suspects, sliding)
+        if not (dropped or suspects or sliding):
+            return TwistEstimate(twist, covariance, rank, tuple(tests))
+        numbers = [wheel.number for wheel in self.wheels]
+        return TwistEstimate(
+            twist,
+            covariance,
+            rank,
+            tuple(tests),
+            tuple(sorted(numbers[k] for k in dropped)),
+            tuple(sorted(numbers[k] for k in suspects)),
+            tuple(sorted(numbers[k] for k in sliding)),
+        )

@@ -17,7 +17,7 @@ from thorvaldc.model.bus import MASTER
 from thorvaldc.model.bus_timing import required_objects
 from thorvaldc.model.statics.slope import roll_out
 from thorvaldc.runtime.can_base.motor_controller import controller_class
-from thorvaldc.tools.fault_matrix.promised_times import (
+from thorvaldc.simulation.bus.promised_times import (
     CLIMB,
     CREEPING,
     FROZEN_STEERING,

@@ -31,12 +31,12 @@ from thorvaldc.model import Robot, stopping
 from thorvaldc.model.model_json import model_hash
 from thorvaldc.model.statics.slope import roll_out
 from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.bus.promised_times import rest_after
 from thorvaldc.simulation.worker_processes import become_worker
 from thorvaldc.tools.fault_matrix import fault_cases, fault_reaction, ground_faults
 from thorvaldc.tools.fault_matrix.fault_cases import Evidence, FaultCase
 from thorvaldc.tools.fault_matrix.fault_reaction import Reaction, react
 from thorvaldc.tools.fault_matrix.ground_faults import GroundRow
-from thorvaldc.tools.fault_matrix.promised_times import rest_after
 from thorvaldc.tools.fault_matrix.rehearsal import Rehearsal
 
 T = TypeVar("T")

@@ -1,7 +1,7 @@
 """How soon the base driver stops a robot after a fault.
 
-The fault matrix judges single faults by these times, and the random missions of the tests judge
-combinations of them.  How long a stop then takes is stated in ``thorvaldc.model.stopping``.
+Two judges use these times: the fault matrix, for single faults, and the random missions of the
+tests, for combinations of faults.  ``thorvaldc.model.stopping`` states how long a stop then takes.
 """
 
 from __future__ import annotations
