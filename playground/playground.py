@@ -39,6 +39,7 @@ from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.diagnostics.files import read_json
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.tools.language_server import code_completion, open_document
+from thorvaldc.tools.language_server.cursor import cursor_at
 from thorvaldc.tools.language_server.module_view import ModuleView
 from thorvaldc.tools.preview.compiled_robot import CompiledRobot
 from thorvaldc.tools.preview.page_drive import PageDrive
@@ -186,7 +187,7 @@ class Playground:
         text, offset = message["text"], message["offset"]
         path = self._path(message["file"])
         source = open_document.SourceText(text)
-        cursor = code_completion.cursor_at(text, offset)
+        cursor = cursor_at(text, offset)
         tree = code_completion.tree_around(source, cursor, offset, str(path))
         view = ModuleView(kind_of(text, path.name) or "robot", path, tree, ())
         models = {} if self._compiled.model is None else {str(path): self._compiled.model}

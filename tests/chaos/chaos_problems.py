@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from tests.chaos.invariants import NOTICE, PUSHED, false_reports_notice
+from tests.chaos.invariants import PUSHED, false_reports_notice
 from thorvaldc.can.canopen import HEARTBEAT, NMT, RPDO, SYNC, TPDO
 from thorvaldc.model import Robot
-from thorvaldc.model.bus_timing import reading_time
 from thorvaldc.model.scenario import BusFault
+from thorvaldc.simulation.bus.promised_times import CREEPING, SECOND_DEVICE, PromisedTimes
 
 MASTER_BUS_OFF = "master_bus_off"
 FALSE_REPORTS = "false_reports"
+SECOND_MASTER = "second_master"
 DISOBEDIENT = ("commands_ignored", "sync_ignored", "nmt_ignored", "frozen_encoder")
 """Kinds of injected faults in which a drive does not do what it receives.
 
@@ -26,7 +27,7 @@ IMPEDING = (
     "repeated_frames",
     "wrong_bitrate",
     "clone",
-    "second_master",
+    SECOND_MASTER,
     FALSE_REPORTS,
     MASTER_BUS_OFF,
     *DISOBEDIENT,
@@ -49,7 +50,7 @@ EMPTY_BATTERY = "battery_charge of a device"
 FASTEST_CONSTANTS = 0.1
 """Period (s) of the report of constants while the driver waits for them."""
 OBJECT_WRITTEN = "object_written"
-LATCHED = ("second_master",)
+LATCHED = (SECOND_MASTER,)
 """Kinds of problems that must be noticed, even if they were short."""
 
 
@@ -83,7 +84,7 @@ def problem_kind(robot: Robot, fault: BusFault) -> str:
     if fault.kind == "forged_frames":
         master = (NMT, SYNC, HEARTBEAT + 0x7F)
         if fault.cob_id in master or base in RPDO:
-            return "second_master"
+            return SECOND_MASTER
     if fault.kind in ("babble", "forged_frames") and base in TPDO:
         return FALSE_REPORTS
     if fault.node is not None and not nodes[fault.node].channels:
@@ -94,10 +95,19 @@ def problem_kind(robot: Robot, fault: BusFault) -> str:
 def notice_time(robot: Robot, kind: str, fault: BusFault) -> float | None:
     """Returns the longest time (s) until the driver notices an injected fault."""
     bus = next(bus for bus in robot.buses if bus.name == fault.bus)
-    if kind == OBJECT_WRITTEN:
-        return reading_time(bus, min(b.sync_period for b in robot.buses)) + READING_MARGIN
     if kind != FALSE_REPORTS:
-        return NOTICE.get(kind)
+        node = next((node for node in bus.nodes if node.name == fault.node), bus.nodes[0])
+        times = PromisedTimes(robot, bus, node)
+        return {
+            "power_cut": times.silence,
+            "mute": times.silence,
+            "heartbeat_stop": times.beats,
+            "wrong_bitrate": times.silence,
+            "clone": SECOND_DEVICE,
+            SECOND_MASTER: times.silence,
+            PUSHED: CREEPING,
+            OBJECT_WRITTEN: times.reading + READING_MARGIN,
+        }.get(kind)
     drives = {node.name for node in bus.nodes if node.channels}
     reports = {f.cob_id: f.period for f in bus.frames if f.producer in drives and f.period}
     period = reports.get(fault.cob_id or 0)

@@ -21,6 +21,7 @@ from tests.chaos.chaos_problems import (
     LYING,
     MASTER_BUS_OFF,
     OBJECT_WRITTEN,
+    SECOND_MASTER,
     Problem,
     notice_time,
     problem_kind,
@@ -513,7 +514,7 @@ class ChaosWorld:
             self._close_problem(number)
 
         self._ends[number] = end
-        if kind == "forged_frames" and self.problems[number].kind == "second_master":
+        if kind == "forged_frames" and self.problems[number].kind == SECOND_MASTER:
             self._forged_until = self.now + (seconds or 0.0) + 0.06
         if seconds is not None:
             self.after(seconds, end)

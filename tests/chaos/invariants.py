@@ -14,6 +14,7 @@ from tests.runtime.exploration import check_explored
 from thorvaldc.model.stopping import DRIVE_DEAD, DRIVER_DEAD, STOP_LOCK, stop_bounds
 from thorvaldc.runtime.se2 import ORIGIN, Pose2
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
+from thorvaldc.simulation.bus.promised_times import CLIMB, NOT_FOLLOWING
 
 if TYPE_CHECKING:
     from tests.chaos.chaos_world import ChaosWorld
@@ -32,9 +33,9 @@ AFTER_IMPEDIMENT = 0.2
 SPEED_TOLERANCE, SPEED_SHARE = 0.04, 1.06
 """Wheel speeds (m/s) that count as standing, and the tolerance of the permitted speed."""
 PUSHED = "pushed_motor"
-DISOBEDIENCE = 2.5
-"""s until a drive that ignores its commands brakes: its target must change, which takes a ramp, and
-its motion is compared with the targets of half a second; then it climbs the ladder."""
+DISOBEDIENCE = 0.2 + NOT_FOLLOWING + CLIMB
+"""s until a drive that ignores its commands brakes: its target must change, which takes a ramp,
+then it is noticed, and climbs the ladder."""
 LONGEST_DELAY = 2.5
 """Longest time (s) by which an injected fault delays frames."""
 SIGMAS = 5.0
@@ -42,18 +43,8 @@ POSE_TOLERANCE = 0.03
 """m and rad."""
 LATENCY = 0.08
 """s between the report of a motor and the control cycle."""
-NOTICE = {
-    "power_cut": 0.12,
-    "mute": 0.12,
-    "heartbeat_stop": 0.45,
-    "wrong_bitrate": 0.2,
-    "clone": 0.6,
-    "second_master": 0.15,
-    "battery": 3.0,
-    PUSHED: 2.0,
-}
-"""Longest time (s) from an injected fault until the driver no longer reports that it can drive."""
 MARGIN = 0.1
+"""s by which a fault may be noticed later than promised, because of other faults."""
 SURPLUS = 8
 """Number of false reports that are noticed at the latest, if they have the period of the report."""
 SAMPLING_TIME = 0.12

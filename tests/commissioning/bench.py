@@ -13,7 +13,8 @@ from thorvaldc.commissioning.bus_configuration import BusConfiguration, configur
 from thorvaldc.commissioning.bus_master import BusMaster, Timing
 from thorvaldc.commissioning.flash import Flash, Operator
 from thorvaldc.commissioning.journal import Journal
-from thorvaldc.commissioning.planner import Plan, make_plan
+from thorvaldc.commissioning.plan import Plan
+from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.model import Robot

@@ -29,7 +29,8 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.bus_configuration import from_json, to_json
 from thorvaldc.commissioning.flash import Flash
 from thorvaldc.commissioning.journal import Journal, JournalFile
-from thorvaldc.commissioning.planner import AddressStep, AttachStep, make_plan
+from thorvaldc.commissioning.plan import AddressStep, AttachStep
+from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.verify import verify
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.simulation.bus.simulated_robot import VirtualOperator, VirtualTimeInterface

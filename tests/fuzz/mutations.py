@@ -18,7 +18,7 @@ from typing import Any
 
 import yaml
 
-from thorvaldc.commissioning.planner import plan_from_json
+from thorvaldc.commissioning.plan import plan_from_json
 
 Random = random.Random
 Mutation = Callable[[Random, bytes], bytes]

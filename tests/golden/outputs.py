@@ -2,8 +2,8 @@
 
 The text files that people read are golden files: URDF, MJCF, ROS 2 parameters and the files of the
 bus; launch files, the long DCFs, the C header and the datasheet for one example only.  Of all
-files, also of meshes, the model and files that repeat others, the SHA-256 is kept, so no byte
-changes without notice.
+files, also of meshes, the model and files that repeat others, one list keeps the SHA-256, so no
+byte changes without notice.
 """
 
 from __future__ import annotations
@@ -17,11 +17,17 @@ from thorvaldc.model import Robot
 
 ROOT = Path(__file__).resolve().parents[2]
 GOLDEN = Path(__file__).parent
-SUMS = "SHA256SUMS"
+SUMS = GOLDEN / "SHA256SUMS"
 EXAMPLES = {
     path.parent.name: path
     for path in sorted([*ROOT.glob("examples/*/robot.yaml"), *ROOT.glob("examples/*/fleet.yaml")])
 }
+
+
+def expected_sums(example: str) -> str:
+    """Return the lines of the reviewed list for an example."""
+    lines = SUMS.read_text(encoding="utf-8").splitlines(keepends=True)
+    return "".join(line for line in lines if line.split()[1].startswith(f"{example}/"))
 
 
 def expected_files(example: str) -> dict[str, str]:
@@ -34,16 +40,17 @@ def expected_files(example: str) -> dict[str, str]:
     }
 
 
-def current_files(example: str) -> dict[str, str]:
-    """Return the contents that these files should have, from a new build."""
+def current_files(example: str) -> tuple[dict[str, str], str]:
+    """Return the contents that these files should have, and the lines of the list, from a new
+    build."""
     compilation = compile_file(EXAMPLES[example])
     if compilation.model is None:
         raise RuntimeError(f"{example}: {[d.message for d in compilation.report.errors]}")
     datasheet = ["datasheet"] if isinstance(compilation.model, Robot) else []
     files = emit(compilation.model, [*DEFAULT_TARGETS, *datasheet], compilation.report)
-    sums = [f"{sha256(files[path]).hexdigest()}  {path}\n" for path in sorted(files)]
+    sums = [f"{sha256(files[path]).hexdigest()}  {example}/{path}\n" for path in sorted(files)]
     golden = {path: files[path].decode() for path in sorted(files) if _is_golden(example, path)}
-    return {**golden, SUMS: "".join(sums)}
+    return golden, "".join(sums)
 
 
 WITH_LAUNCH = "4wd4ws_wide"  # a robot with most parts of a ROS 2 package

@@ -6,14 +6,23 @@ import difflib
 
 import pytest
 
-from tests.golden.outputs import EXAMPLES, GOLDEN, SUMS, current_files, expected_files
+from tests.golden.outputs import (
+    EXAMPLES,
+    GOLDEN,
+    SUMS,
+    current_files,
+    expected_files,
+    expected_sums,
+)
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_outputs_are_the_reviewed_ones(example: str) -> None:
-    expected, current = expected_files(example), current_files(example)
+    expected, (current, sums) = expected_files(example), current_files(example)
+    paths = [*sorted({*expected, *current}), SUMS.name]
+    expected[SUMS.name], current[SUMS.name] = expected_sums(example), sums
     differences = []
-    for path in [*sorted({*expected, *current} - {SUMS}), SUMS]:
+    for path in paths:
         difference = difflib.unified_diff(
             expected.get(path, "").split("\n"),
             current.get(path, "").split("\n"),
@@ -33,3 +42,5 @@ def test_outputs_are_the_reviewed_ones(example: str) -> None:
 
 def test_no_golden_files_without_an_example() -> None:
     assert {p.name for p in GOLDEN.iterdir() if p.is_dir() and p.name[0] != "_"} == set(EXAMPLES)
+    paths = [line.split()[1] for line in SUMS.read_text(encoding="utf-8").splitlines()]
+    assert {path.split("/")[0] for path in paths} == set(EXAMPLES)

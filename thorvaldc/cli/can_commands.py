@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from thorvaldc.commissioning.bus_configuration import BusConfiguration
     from thorvaldc.commissioning.bus_master import BusMaster
     from thorvaldc.commissioning.journal import JournalFile
-    from thorvaldc.commissioning.planner import AttachStep, Plan, PlanStep
+    from thorvaldc.commissioning.plan import AttachStep, Plan, PlanStep
     from thorvaldc.commissioning.scan_result import ScanResult
     from thorvaldc.commissioning.scanner import Scanner
     from thorvaldc.commissioning.step_executor import Operator
@@ -92,7 +92,7 @@ def plan(
 
 
 def _show_plan(plan: Plan, json: bool, more: dict[str, bool]) -> int:
-    from thorvaldc.commissioning.planner import plan_as_json, plan_table
+    from thorvaldc.commissioning.plan import plan_as_json, plan_table
 
     if json:
         print_json({**plan_as_json(plan), **more})
@@ -195,7 +195,7 @@ def _write(
 ) -> int:
     from thorvaldc.commissioning.flash import Flash
     from thorvaldc.commissioning.journal import Journal
-    from thorvaldc.commissioning.planner import plan_table
+    from thorvaldc.commissioning.plan import plan_table
 
     if mode != "--apply" and not path.exists():
         raise typer.BadParameter(f"there is no journal {path}", param_hint="'--journal'")
@@ -256,7 +256,7 @@ def _opened(path: Path) -> JournalFile:
 
 
 def _show_result(json: bool, plan: Plan, result: str) -> int:
-    from thorvaldc.commissioning.planner import plan_as_json
+    from thorvaldc.commissioning.plan import plan_as_json
 
     if json:
         print_json({**plan_as_json(plan), "applied": True, "result": result})

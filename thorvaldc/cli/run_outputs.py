@@ -21,13 +21,9 @@ from thorvaldc.simulation.control_loop import ControlLoop, Sample, TickCallback
 from thorvaldc.simulation.pictures import check_pillow
 from thorvaldc.simulation.pictures.plot import FORMATS as PLOT_FORMATS
 from thorvaldc.simulation.pictures.plot import check_plotting, plot
-from thorvaldc.simulation.pictures.render import FORMATS as VIDEO_FORMATS
-from thorvaldc.simulation.pictures.render import (
-    RATES,
-    VideoRecorder,
-    choose_opengl_backend,
-    encoder,
-)
+from thorvaldc.simulation.pictures.render import choose_opengl_backend
+from thorvaldc.simulation.pictures.video import FORMATS as VIDEO_FORMATS
+from thorvaldc.simulation.pictures.video import RATES, VideoRecorder, encoder
 from thorvaldc.simulation.records.csv_record import CsvRecorder
 from thorvaldc.simulation.records.joint_csv import JointLogWriter
 from thorvaldc.simulation.records.recorder import Recorder

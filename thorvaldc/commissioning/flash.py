@@ -35,7 +35,8 @@ from thorvaldc.commissioning.bus_configuration import BusConfiguration, Paramete
 from thorvaldc.commissioning.bus_master import BusMaster, SdoError, other_master_error
 from thorvaldc.commissioning.journal import APPLY, RESUME, ROLLBACK, Journal
 from thorvaldc.commissioning.lss_master import LssError
-from thorvaldc.commissioning.planner import AttachStep, Plan, PlanStep, make_plan
+from thorvaldc.commissioning.plan import AttachStep, Plan, PlanStep
+from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Progress as ScanProgress
 from thorvaldc.commissioning.scanner import Scanner

@@ -33,7 +33,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from thorvaldc.commissioning import bus_configuration
-from thorvaldc.commissioning.planner import Plan, plan_from_json, plan_to_json
+from thorvaldc.commissioning.plan import Plan, plan_from_json, plan_to_json
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.diagnostics.files import append_whole, check_regular, read_json
 

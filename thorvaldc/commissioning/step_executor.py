@@ -33,7 +33,7 @@ from thorvaldc.commissioning import bus_configuration, scan_result
 from thorvaldc.commissioning.bus_master import BusMaster, SdoAborted, SdoClient
 from thorvaldc.commissioning.journal import Journal
 from thorvaldc.commissioning.lss_master import LssMaster
-from thorvaldc.commissioning.planner import AddressStep, AttachStep, ConfigureStep, Plan, PlanStep
+from thorvaldc.commissioning.plan import AddressStep, AttachStep, ConfigureStep, Plan, PlanStep
 from thorvaldc.commissioning.scanner import DEVICE_TYPE, IDENTITY, Scanner
 
 # -- object dictionary -----------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import pytest
 
 from tests.simulation.bus.master import Master, Refused
 from thorvaldc.simulation.bus.cia402_device import AxisSettings, Cia402Drive
-from thorvaldc.simulation.bus.object_dictionary import Pdo
+from thorvaldc.simulation.bus.process_data import Pdo
 from thorvaldc.simulation.bus.simulated_device import DeviceDescription
 from thorvaldc.simulation.bus.simulated_motors import IdealMotor
 from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface

@@ -8,13 +8,8 @@ import pytest
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.sdo import AbortCode
-from thorvaldc.simulation.bus.object_dictionary import (
-    Entry,
-    ObjectDictionary,
-    Pdo,
-    PdoSet,
-    SdoAbort,
-)
+from thorvaldc.simulation.bus.object_dictionary import Entry, ObjectDictionary, SdoAbort
+from thorvaldc.simulation.bus.process_data import Pdo, PdoSet
 
 WORD, BYTE = (0x2000, 1, 16), (0x2000, 2, 8)
 OFF = 1 << 31

@@ -18,14 +18,13 @@ from thorvaldc.simulation.pictures import PictureError, render
 from thorvaldc.simulation.pictures.render import (
     FIELD_OF_VIEW,
     VIEWS,
-    VideoRecorder,
     View,
-    encoder,
     fit_camera,
     parse_size,
     parse_view,
     visible_points,
 )
+from thorvaldc.simulation.pictures.video import VideoRecorder, encoder
 
 
 @pytest.mark.parametrize("view", [*VIEWS.values(), View(10.0, -45.0), View(77.0, 30.0)])

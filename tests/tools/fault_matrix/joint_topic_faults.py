@@ -8,13 +8,13 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from tests.examples import example_robot
-from tests.model.stops import stop_bound
 from tests.ros.virtual_topics import PERIOD, VirtualTopics
 from thorvaldc.model import Robot
 from thorvaldc.model.stopping import STOP_LOCK
 from thorvaldc.ros.parameters import default_silence
 from thorvaldc.runtime.motion_supervision import SHORTEST, FollowLimits
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.simulation.bus.promised_times import rest_after
 from thorvaldc.tools.fault_matrix.fault_cases import DRIVING, MOVING_PHASES, STOPPING
 from thorvaldc.tools.fault_matrix.fault_matrix import reaction_text
 from thorvaldc.tools.fault_matrix.fault_reaction import AT_REST, STOPS, Reaction
@@ -130,16 +130,15 @@ def reaction_of(rig: VirtualTopics, phase: str) -> str:
 def rows() -> Iterator[tuple[TopicFault, dict[str, Reaction], list[str]]]:
     """Yields each fault with its reactions by phase and the promises that they break."""
     model = robot()
-    stop = stop_bound(model, STOP_LOCK)
     for fault in faults(model):
         reactions = {phase: react(model, fault, phase) for phase in MOVING_PHASES}
         limit = fault.detection
-        farthest = stop.distance + model.driver.max_linear_velocity * limit
+        longest, farthest = rest_after(model, limit, STOP_LOCK)
         broken = []
         for phase, reaction in reactions.items():
             if reaction.rest_time is None or reaction.rest_distance is None:
                 broken.append(f"{fault.name}, {phase}: the wheels still turn")
-            elif reaction.rest_time > stop.time + limit or reaction.rest_distance > farthest:
+            elif reaction.rest_time > longest or reaction.rest_distance > farthest:
                 broken.append(f"{fault.name}, {phase}: {reaction_text(reaction)}")
             if reaction.unasked > 1e-9:
                 broken.append(f"{fault.name}, {phase}: {reaction.unasked} m/s faster")
@@ -151,11 +150,9 @@ def rows() -> Iterator[tuple[TopicFault, dict[str, Reaction], list[str]]]:
 def cells() -> Iterator[tuple[str, ...]]:
     """Yields the cells of the table on the page.  Raises ``ValueError`` for a broken promise."""
     model = robot()
-    stop = stop_bound(model, STOP_LOCK)
     for fault, reactions, broken in rows():
         if broken:
             raise ValueError("; ".join(broken))
-        limit = fault.detection
-        way = stop.distance + model.driver.max_linear_velocity * limit
-        promised = f"{limit:.2f} s, {stop.time + limit:.1f} s, {way:.2f} m"
+        longest, farthest = rest_after(model, fault.detection, STOP_LOCK)
+        promised = f"{fault.detection:.2f} s, {longest:.1f} s, {farthest:.2f} m"
         yield fault.name, *(reaction_text(r) for r in reactions.values()), promised

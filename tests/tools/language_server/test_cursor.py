@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from thorvaldc.compiler.scaffolding import robot_text
-from thorvaldc.tools.language_server.code_completion import cursor_at
+from thorvaldc.tools.language_server.cursor import cursor_at
 
 PLACES = [
     ("|", (), "key", ""),

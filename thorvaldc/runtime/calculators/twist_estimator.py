@@ -577,14 +577,16 @@ class TwistEstimator:
                 per_wheel[wheel.number] = d
             tests = per_wheel
         covariance = ((p11, p12, p13), (p12, p22, p23), (p13, p23, p33))
-        # Calling a class of named tuples takes twice as long as making the tuple directly.
-        new = tuple.__new__
-        twist = new(Twist, (vx, vy, wz))
-        if dropped or suspects or sliding:
-            numbers = [wheel.number for wheel in self.wheels]
-            dropped = tuple(sorted(numbers[k] for k in dropped))
-            suspects = tuple(sorted(numbers[k] for k in suspects))
-            sliding = tuple(sorted(numbers[k] for k in sliding))
-        return new(
-            TwistEstimate, (twist, covariance, rank, tuple(tests), dropped, suspects, sliding)
+        twist = Twist(vx, vy, wz)
+        if not (dropped or suspects or sliding):
+            return TwistEstimate(twist, covariance, rank, tuple(tests))
+        numbers = [wheel.number for wheel in self.wheels]
+        return TwistEstimate(
+            twist,
+            covariance,
+            rank,
+            tuple(tests),
+            tuple(sorted(numbers[k] for k in dropped)),
+            tuple(sorted(numbers[k] for k in suspects)),
+            tuple(sorted(numbers[k] for k in sliding)),
         )

@@ -310,11 +310,10 @@ def fit_twist(
     p22 = (a11 * a33 - a13 * a13) * d
     p23 = (a12 * a13 - a11 * a23) * d
     p33 = (a11 * a22 - a12 * a12) * d
-    # Calling the named tuple class takes twice as long as creating the tuple directly.
     vx = p11 * b1 + p12 * b2 + p13 * b3
     vy = p12 * b1 + p22 * b2 + p23 * b3
     wz = p13 * b1 + p23 * b2 + p33 * b3
-    return tuple.__new__(Fit, (vx, vy, wz, p11, p12, p13, p22, p23, p33, weighted))
+    return Fit(vx, vy, wz, p11, p12, p13, p22, p23, p33, weighted)
 
 
 def add_rolling_speed(fit: Fit, wheel: int, speed: float, variance: float) -> Fit:

@@ -20,7 +20,14 @@ from thorvaldc.can.canopen import LSS_REQUEST, LSS_RESPONSE, Emergency, NmtComma
 from thorvaldc.can.frame import CanFrame, ErrorState
 from thorvaldc.can.sdo import AbortCode
 from thorvaldc.model.scenario import Quirk
-from thorvaldc.simulation.bus import object_dictionary, simulated_device
+from thorvaldc.simulation.bus import simulated_device
+from thorvaldc.simulation.bus.object_dictionary import (
+    DelayedWrite,
+    Entry,
+    ObjectDictionary,
+    SdoAbort,
+)
+from thorvaldc.simulation.bus.process_data import PdoSet
 from thorvaldc.simulation.bus.sdo_server import LssSlave, SdoServer
 from thorvaldc.simulation.bus.wire import Wire
 
@@ -82,8 +89,8 @@ class CanopenDevice(simulated_device.SimulatedDevice):
         """``True`` if NMT commands are ignored."""
         self._frozen_reports = False
         self.boot_time = BOOT_TIME
-        self.objects = object_dictionary.ObjectDictionary()
-        self.pdos: object_dictionary.PdoSet | None = None
+        self.objects = ObjectDictionary()
+        self.pdos: PdoSet | None = None
         self.lss: LssSlave | None = None
         self._sdo = SdoServer(self.objects, self._respond)
         self._quirks = description.quirks
@@ -112,15 +119,13 @@ class CanopenDevice(simulated_device.SimulatedDevice):
 
     # -- for subclasses -----------------------------------------------------------------------
 
-    def add_objects(self, objects: object_dictionary.ObjectDictionary) -> None:
+    def add_objects(self, objects: ObjectDictionary) -> None:
         """Adds the objects of the device to the object dictionary.
 
         The base class calls ``add_objects`` at every start of the device.
         """
 
-    def make_pdos(
-        self, objects: object_dictionary.ObjectDictionary
-    ) -> object_dictionary.PdoSet | None:
+    def make_pdos(self, objects: ObjectDictionary) -> PdoSet | None:
         """Returns the PDOs of the device.
 
         The base class calls ``make_pdos`` after ``add_objects``.
@@ -224,9 +229,7 @@ class CanopenDevice(simulated_device.SimulatedDevice):
         if self.node_id == lss.UNCONFIGURED:
             return
         quirks = self._quirks
-        self.objects = objects = object_dictionary.ObjectDictionary(
-            length_aborts=Quirk.LENGTH_ABORTS in quirks
-        )
+        self.objects = objects = ObjectDictionary(length_aborts=Quirk.LENGTH_ABORTS in quirks)
         self._add_standard_objects(objects)
         self.add_objects(objects)
         self.pdos = self.make_pdos(objects)
@@ -268,80 +271,68 @@ class CanopenDevice(simulated_device.SimulatedDevice):
 
     # -- objects ----------------------------------------------------------------------------------
 
-    def _add_standard_objects(self, objects: object_dictionary.ObjectDictionary) -> None:
+    def _add_standard_objects(self, objects: ObjectDictionary) -> None:
         description = self.description
-        objects.add(0x1000, 0, object_dictionary.Entry("u32", description.device_type, "const"))
-        objects.add(0x1001, 0, object_dictionary.Entry("u8", read=lambda: self._error_register))
+        objects.add(0x1000, 0, Entry("u32", description.device_type, "const"))
+        objects.add(0x1001, 0, Entry("u8", read=lambda: self._error_register))
         objects.add(
             0x1003,
             0,
-            object_dictionary.Entry(
-                "u8", 0, "rw", read=self._error_count, write=self._clear_errors, upper=0
-            ),
+            Entry("u8", 0, "rw", read=self._error_count, write=self._clear_errors, upper=0),
         )
         for position in range(HISTORY):
             objects.add(
                 0x1003,
                 position + 1,
-                object_dictionary.Entry("u32", read=partial(self._error, position)),
+                Entry("u32", read=partial(self._error, position)),
             )
         sync = canopen.SYNC
         cob_access = "ro" if Quirk.FIXED_COB_IDS in self._quirks else "rw"
-        objects.add(
-            0x1005, 0, object_dictionary.Entry("u32", sync, cob_access, lower=sync, upper=sync)
-        )
-        objects.add(0x1008, 0, object_dictionary.Entry("text", description.name, "const"))
+        objects.add(0x1005, 0, Entry("u32", sync, cob_access, lower=sync, upper=sync))
+        objects.add(0x1008, 0, Entry("text", description.name, "const"))
         for index in (0x1009, 0x100A):  # versions of hardware and software
-            objects.add(index, 0, object_dictionary.Entry("text", "1.0", "const"))
-        objects.add_record(
-            0x1010, object_dictionary.Entry("u32", 1, "rw", read=lambda: 1, write=self._save)
-        )
+            objects.add(index, 0, Entry("text", "1.0", "const"))
+        objects.add_record(0x1010, Entry("u32", 1, "rw", read=lambda: 1, write=self._save))
         objects.add_record(
             0x1011,
-            object_dictionary.Entry("u32", 1, "rw", read=lambda: 1, write=self._load_defaults),
+            Entry("u32", 1, "rw", read=lambda: 1, write=self._load_defaults),
         )
         emcy = canopen.EMCY + self.node_id
-        objects.add(
-            0x1014, 0, object_dictionary.Entry("u32", emcy, cob_access, lower=emcy, upper=emcy)
-        )
-        objects.add(0x1015, 0, object_dictionary.Entry("u16", 0, "rw", stored=True))
+        objects.add(0x1014, 0, Entry("u32", emcy, cob_access, lower=emcy, upper=emcy))
+        objects.add(0x1015, 0, Entry("u16", 0, "rw", stored=True))
         objects.add_record(
             0x1016,
             *(
-                object_dictionary.Entry(
-                    "u32", 0, "rw", stored=True, write=partial(self._check_consumer, number)
-                )
+                Entry("u32", 0, "rw", stored=True, write=partial(self._check_consumer, number))
                 for number in range(1, CONSUMERS + 1)
             ),
         )
         period = round(description.heartbeat_period * 1000.0)
-        objects.add(0x1017, 0, object_dictionary.Entry("u16", period, "rw", stored=True))
+        objects.add(0x1017, 0, Entry("u16", period, "rw", stored=True))
         identity = [description.vendor, description.product, description.revision]
         if description.serial is not None:
             identity.append(description.serial)
-        objects.add_record(
-            0x1018, *(object_dictionary.Entry("u32", number, "const") for number in identity)
-        )
-        objects.add_record(0x1029, object_dictionary.Entry("u8", 0, "rw", upper=2, stored=True))
+        objects.add_record(0x1018, *(Entry("u32", number, "const") for number in identity))
+        objects.add_record(0x1029, Entry("u8", 0, "rw", upper=2, stored=True))
         objects.add_record(
             0x1200,
-            object_dictionary.Entry("u32", canopen.SDO_REQUEST + self.node_id, "const"),
-            object_dictionary.Entry("u32", canopen.SDO_RESPONSE + self.node_id, "const"),
+            Entry("u32", canopen.SDO_REQUEST + self.node_id, "const"),
+            Entry("u32", canopen.SDO_RESPONSE + self.node_id, "const"),
         )
 
-    def _save(self, value: Any) -> object_dictionary.DelayedWrite:
+    def _save(self, value: Any) -> DelayedWrite:
         if value != SAVE:
-            raise object_dictionary.SdoAbort(AbortCode.STORE_REFUSED)
+            raise SdoAbort(AbortCode.STORE_REFUSED)
         parameters = self.objects.parameters()
         return lambda on_stored: self.store({simulated_device.PARAMETERS: parameters}, on_stored)
 
-    def _load_defaults(self, value: Any) -> object_dictionary.DelayedWrite:
+    def _load_defaults(self, value: Any) -> DelayedWrite:
         """Handles a write to object 0x1011, "restore default parameters".
 
         The factory values of the parameters apply after the next reset of the device.
         """
         if value != LOAD:
-            raise object_dictionary.SdoAbort(AbortCode.STORE_REFUSED)
+            raise SdoAbort(AbortCode.STORE_REFUSED)
         return lambda on_stored: self.store({simulated_device.PARAMETERS: {}}, on_stored)
 
     # -- SDO and PDO ---------------------------------------------------------------------------
@@ -437,13 +428,13 @@ class CanopenDevice(simulated_device.SimulatedDevice):
                 return (value & 0xFFFF) / 1000.0
         return 0.0
 
-    def _check_consumer(self, number: int, value: Any) -> object_dictionary.DelayedWrite | None:
+    def _check_consumer(self, number: int, value: Any) -> DelayedWrite | None:
         """Checks a new value of entry ``number`` of object 0x1016."""
         others = [self.objects[0x1016, i].value for i in range(1, CONSUMERS + 1) if i != number]
         producers = {other >> 16 & 0x7F for other in others if other & 0xFFFF}
         is_duplicate = value & 0xFFFF and value >> 16 & 0x7F in producers
         if Quirk.ONE_CONSUMER_PER_NODE in self._quirks and is_duplicate:
-            raise object_dictionary.SdoAbort(AbortCode.PARAMETER_INCOMPATIBLE)
+            raise SdoAbort(AbortCode.PARAMETER_INCOMPATIBLE)
         return None
 
     def _check_heartbeats(self) -> None:
@@ -484,10 +475,10 @@ class CanopenDevice(simulated_device.SimulatedDevice):
 
     def _error(self, position: int) -> int:
         if Quirk.ERROR_HISTORY_ABORTS in self._quirks and position >= len(self._history):
-            raise object_dictionary.SdoAbort(AbortCode.NO_DATA)
+            raise SdoAbort(AbortCode.NO_DATA)
         return self._history[position] if position < len(self._history) else 0
 
-    def _clear_errors(self, value: Any) -> object_dictionary.DelayedWrite | None:
+    def _clear_errors(self, value: Any) -> DelayedWrite | None:
         self._history = []
         return None
 

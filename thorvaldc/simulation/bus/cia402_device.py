@@ -12,13 +12,8 @@ from thorvaldc.model import Actuator
 from thorvaldc.model.bus import FIRST_INDEX, STRIDE, motor_numbers
 from thorvaldc.simulation.bus import cia402_motion
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
-from thorvaldc.simulation.bus.object_dictionary import (
-    DelayedWrite,
-    Entry,
-    ObjectDictionary,
-    Pdo,
-    PdoSet,
-)
+from thorvaldc.simulation.bus.object_dictionary import DelayedWrite, Entry, ObjectDictionary
+from thorvaldc.simulation.bus.process_data import Pdo, PdoSet
 from thorvaldc.simulation.bus.simulated_device import DeviceSpecification
 from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
 

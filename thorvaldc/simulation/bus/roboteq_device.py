@@ -33,8 +33,9 @@ from typing import Any, Self
 
 from thorvaldc.can.canopen import RPDO, TPDO, NmtState
 from thorvaldc.model.sums import float_sum
-from thorvaldc.simulation.bus import object_dictionary
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
+from thorvaldc.simulation.bus.object_dictionary import DelayedWrite, Entry, ObjectDictionary
+from thorvaldc.simulation.bus.process_data import EVENT_DRIVEN, Pdo, PdoSet
 from thorvaldc.simulation.bus.simulated_device import DeviceDescription, DeviceSpecification
 from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel, MotorState
 from thorvaldc.simulation.bus.wire import Wire
@@ -328,7 +329,7 @@ class RoboteqController(CanopenDevice):
         if state is not NmtState.OPERATIONAL:
             self._speeds = [0, 0]
 
-    def add_objects(self, objects: object_dictionary.ObjectDictionary) -> None:
+    def add_objects(self, objects: ObjectDictionary) -> None:
         """Adds the variables of the script to the object dictionary.
 
         The master reads variables 1 to 8 and writes variables 9 to 16.
@@ -344,16 +345,14 @@ class RoboteqController(CanopenDevice):
             lambda: self._content << 24,
             self._constant,
         )
-        objects.add(0x2005, 0, object_dictionary.Entry("u8", 16, "const"))
-        objects.add(0x2106, 0, object_dictionary.Entry("u8", 16, "const"))
+        objects.add(0x2005, 0, Entry("u8", 16, "const"))
+        objects.add(0x2106, 0, Entry("u8", 16, "const"))
         for number in range(8):
-            entry = object_dictionary.Entry(
-                "i32", 0, "rw", write=partial(self._write_variable, number)
-            )
+            entry = Entry("i32", 0, "rw", write=partial(self._write_variable, number))
             objects.add(0x2005, number + 9, entry)
-            objects.add(0x2106, number + 1, object_dictionary.Entry("i32", read=reports[number]))
+            objects.add(0x2106, number + 1, Entry("i32", read=reports[number]))
 
-    def make_pdos(self, objects: object_dictionary.ObjectDictionary) -> object_dictionary.PdoSet:
+    def make_pdos(self, objects: ObjectDictionary) -> PdoSet:
         """Returns four RPDOs and four TPDOs, with two variables in each PDO."""
 
         def variables(index: int, first: int) -> tuple[tuple[int, int, int], ...]:
@@ -361,26 +360,23 @@ class RoboteqController(CanopenDevice):
 
         node = self.node_id
         received = [
-            object_dictionary.Pdo(
-                k + 1, RPDO[k] + node, object_dictionary.EVENT_DRIVEN, variables(0x2005, 9 + 2 * k)
-            )
-            for k in range(4)
+            Pdo(k + 1, RPDO[k] + node, EVENT_DRIVEN, variables(0x2005, 9 + 2 * k)) for k in range(4)
         ]
         sent = [
-            object_dictionary.Pdo(
+            Pdo(
                 k + 1,
                 TPDO[k] + node,
-                object_dictionary.EVENT_DRIVEN,
+                EVENT_DRIVEN,
                 variables(0x2106, 1 + 2 * k),
                 round(1000.0 * self._cycles[k]),
             )
             for k in range(4)
         ]
-        return object_dictionary.PdoSet(objects, received, sent, self.send)
+        return PdoSet(objects, received, sent, self.send)
 
     # -- commands -----------------------------------------------------------------------------
 
-    def _write_variable(self, number: int, value: Any) -> object_dictionary.DelayedWrite | None:
+    def _write_variable(self, number: int, value: Any) -> DelayedWrite | None:
         """Handles a write of the master to a variable of the script.
 
         Each command consists of two variables of the script.  The command takes effect after the

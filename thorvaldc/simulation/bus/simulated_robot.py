@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thorvaldc.can import frame as can_frame
-from thorvaldc.commissioning.planner import AttachStep
+from thorvaldc.commissioning.plan import AttachStep
 from thorvaldc.diagnostics import DiagnosticError, Report, did_you_mean
 from thorvaldc.diagnostics.files import write_file
 from thorvaldc.model import Actuator, Bus, Node, Robot

@@ -14,35 +14,30 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.frame_bits import frame_bits
 from thorvaldc.model import Bus, FrameDefinition, Node, ObjectValue, Robot, scenario, stopping
 from thorvaldc.model.bus import MASTER
-from thorvaldc.model.bus_timing import reading_time, required_objects
+from thorvaldc.model.bus_timing import required_objects
 from thorvaldc.model.statics.slope import roll_out
 from thorvaldc.runtime.can_base.motor_controller import controller_class
+from thorvaldc.simulation.bus.promised_times import (
+    CLIMB,
+    CREEPING,
+    FROZEN_STEERING,
+    FROZEN_WHEEL,
+    NOT_FOLLOWING,
+    RANDOM_SPEEDS,
+    SECOND_DEVICE,
+    SLOW,
+    SWINGING,
+    PromisedTimes,
+)
 from thorvaldc.tools.fault_matrix.rehearsal import Rehearsal
 
 START, IDLE, DRIVING, STOPPING = PHASES = ("start-up", "idle", "driving", "stopping")
 MOVING_PHASES = (DRIVING, STOPPING)
 
-FROZEN_STEERING, FROZEN_WHEEL = 1.8, 0.7
-"""Longest time (s) until a frozen encoder of a turning motor is detected."""
-SWINGING = 5.0
-"""Longest time (s) in which a steering joint that swings about a wrong angle is noticed."""
-RANDOM_SPEEDS = 1.2
-"""Longest time (s) in which random speeds among those that a wheel reports are noticed."""
-NOT_FOLLOWING = 1.8
-"""Longest time (s) until a drive that ignores its commands is detected."""
-CREEPING = 1.2
-"""Longest time (s) until a wheel that turns at rest is detected."""
-CLIMB = 0.5
-"""Longest time (s) from the stop by the base driver until the next rung of ``stop_ladder``, for a
-motor that is seen to disobey, or whose motion is unknown."""
 CREEP, ROLL, FULL_SPEED = 0.5, 2.0, 12.0
 """Speeds (rad/s) of a wheel that creeps, that a slope turns, and that runs away."""
-SECOND_DEVICE = 0.6
-"""Longest time (s) until a second device or false reports are detected."""
 LONGEST_ROLL = 60.0
 """Longest time (s) for which a robot is observed whose drives have no power."""
-SLOW = 3.0
-"""Longest time (s) until a state that is read now and then is detected."""
 
 Frames = Mapping[tuple[str, int], bytes]
 """Data of frames by name of the bus and COB-ID."""
@@ -130,34 +125,21 @@ def fault_cases(robot: Robot) -> list[FaultCase]:
     return [case for source, nodes in sources for target in nodes for case in source(target)]
 
 
-class _Target:
+class _Target(PromisedTimes):
     """The motor controller that has the fault, and its times."""
 
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
+        super().__init__(robot, bus, node)
         self.robot, self.bus, self.node = robot, bus, node
         self.drives = node.protocol
-        self.cycle = min(b.sync_period for b in robot.buses)
-        bounds = {bound.kind: bound for bound in stopping.stop_bounds(robot)}
-        heartbeats = [f.period for f in self._sent("heartbeat") if f.period]
-        self.prompt = bounds[stopping.DETECTED_FAULT].reaction + self.cycle
-        self.beats = stopping.HEARTBEAT_TIMEOUT * max(heartbeats, default=0.0) + self.prompt
-        self.silence = bounds[stopping.DRIVE_DEAD].reaction
-        # Motors that coast after the watchdog have no bound.
-        coasts = math.isinf(bounds[stopping.DRIVER_DEAD].time)
-        self.watchdog = math.inf if coasts else bounds[stopping.DRIVER_DEAD].reaction
-        self.timeout = bounds[stopping.COMMAND_TIMEOUT].reaction
-        self.reading = reading_time(bus, self.cycle) + self.prompt
-
-    def _sent(self, kind: str) -> list[FrameDefinition]:
-        return [f for f in self.bus.frames if f.producer == self.node.name and f.kind == kind]
 
     def sends(self, kind: str) -> bool:
-        return bool(self._sent(kind))
+        return bool(self.sent(kind))
 
     @property
     def report(self) -> FrameDefinition | None:
         """The most frequent report of the motor controller."""
-        reports = [frame for frame in self._sent("pdo") if frame.period]
+        reports = [frame for frame in self.sent("pdo") if frame.period]
         return min(reports, key=lambda frame: frame.period or 0.0, default=None)
 
     @property

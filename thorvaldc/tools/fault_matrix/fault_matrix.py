@@ -31,6 +31,7 @@ from thorvaldc.model import Robot, stopping
 from thorvaldc.model.model_json import model_hash
 from thorvaldc.model.statics.slope import roll_out
 from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.bus.promised_times import rest_after
 from thorvaldc.simulation.worker_processes import become_worker
 from thorvaldc.tools.fault_matrix import fault_cases, fault_reaction, ground_faults
 from thorvaldc.tools.fault_matrix.fault_cases import Evidence, FaultCase
@@ -111,19 +112,14 @@ def _work(function: Callable[[], Any], sender: Connection) -> None:
 def rest_limit(robot: Robot, case: FaultCase, phase: str) -> tuple[float, float]:
     """Returns the longest time (s) and distance (m) until the robot stands after a fault.
 
-    Until the reaction the robot may drive at its top speed.  Then the robot stops within the time
-    and distance of ``stop_bounds``, or rolls out without power.
+    The robot stops by itself, or rolls out without power.
     """
     if case.rolls_out:
         _, time, distance = roll_out(robot)
         return time, distance
     delay = case.detection.get(phase, 0.0) if case.braking is None else case.braking
     by_ramp = case.by_ramp or (phase not in case.detection and case.braking is None)
-    bounds = {bound.kind: bound for bound in stopping.stop_bounds(robot)}
-    stop = bounds[stopping.STOP_LOCK if by_ramp else stopping.DETECTED_FAULT]
-    choices = [robot.driver, *(parameters.driver for parameters in robot.parameter_sets)]
-    speed = max(choice.max_linear_velocity for choice in choices)
-    return delay + stop.time, speed * delay + stop.distance
+    return rest_after(robot, delay, stopping.STOP_LOCK if by_ramp else stopping.DETECTED_FAULT)
 
 
 def broken_limits(robot: Robot, case: FaultCase, phase: str, reaction: Reaction) -> list[str]:

@@ -15,6 +15,7 @@ from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.tools.language_server import code_completion, module_references, open_document
+from thorvaldc.tools.language_server.cursor import cursor_at
 from thorvaldc.tools.language_server.hover import hover_at
 from thorvaldc.tools.language_server.module_view import ModuleView
 
@@ -92,7 +93,7 @@ class Features:
         if document.kind is None:
             return None
         offset = document.source.offset(params.position)
-        cursor = code_completion.cursor_at(document.text, offset)
+        cursor = cursor_at(document.text, offset)
         tree = code_completion.tree_around(document.source, cursor, offset, str(document.path))
         view = ModuleView(document.kind, document.path, tree, session.folders)
         items = [
