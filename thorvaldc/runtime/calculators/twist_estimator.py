@@ -38,6 +38,7 @@ from thorvaldc.runtime.calculators.twist_fit import (
     SIDE_ONLY,
     TEST_ROLL,
     TEST_SIDE,
+    UNTESTABLE,
     USE_ROLL,
     USE_SIDE,
     Fit,
@@ -242,9 +243,7 @@ class TwistEstimator:
         tests = chi_squares(fit)
         if self.options.faulty:
             disagree = any(map(operator.gt, tests, self.gates)) or (
-                self._skids
-                and yaw_rate is not None
-                and self._turns_otherwise(measurements, fit, yaw_rate)
+                yaw_rate is not None and self._turns_otherwise(fit, yaw_rate)
             )
             if disagree or self.may_deviate(states.speeds, commanded):
                 return self._mixture(
@@ -252,17 +251,21 @@ class TwistEstimator:
                 )
         return self._result(fit, tests, rank)
 
-    def _turns_otherwise(self, measurements: list[Measurement], fit: Fit, yaw_rate: float) -> bool:
-        """Returns whether a gyro contradicts wheels that skid, which no test of a wheel shows.
+    def _turns_otherwise(self, fit: Fit, yaw_rate: float) -> bool:
+        """Returns whether a gyro contradicts the wheels, which no test of a wheel may show.
 
-        ``fit``: fitted twist with the gyro.
+        ``fit``: fitted twist with the gyro, whose influence on its own estimate is h.  Without it,
+        the residual r is r / (1 - h).  Wheels that skid may turn the robot otherwise than they turn.
         """
-        alone = fit_twist(measurements, fit.vx, fit.vy, fit.wz, self.squares, self.prior, None)
+        gyro2 = self.squares[5]
+        residual, variance = yaw_rate - fit.wz, gyro2 - fit.p33
+        if variance <= UNTESTABLE * gyro2:
+            return False
+        if not self._skids:
+            return residual * residual > self._price * variance
+        wz = yaw_rate - residual * gyro2 / variance
         length = math.sqrt(self.length2)
-        contradiction = wheel_causes.gyro_contradiction(
-            yaw_rate, alone.wz, length, self.squares[5], skids=True
-        )
-        return contradiction > 0.0
+        return wheel_causes.gyro_contradiction(yaw_rate, wz, length, gyro2, skids=True) > 0.0
 
     def may_deviate(self, speeds: Sequence[float], commanded: Sequence[float] | None) -> bool:
         """Returns whether a wheel may deviate from its command (rad/s).
@@ -539,7 +542,7 @@ class TwistEstimator:
         mean, left_out, suspects, sliding = wheel_mixture.mixture(
             hypotheses, as_measured=not disagree
         )
-        if not hypotheses[0].sliding:
+        if hypotheses[0].wrong:
             tests = chi_squares(hypotheses[0].fit)
         return self._result(mean, tests, rank, left_out, suspects, sliding)
 

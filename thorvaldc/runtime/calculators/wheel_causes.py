@@ -77,7 +77,7 @@ from thorvaldc.runtime.calculators.twist_fit import (
     rolling_leverage,
     unweighted_normal_equations,
 )
-from thorvaldc.runtime.calculators.wheel_mixture import Hypothesis
+from thorvaldc.runtime.calculators.wheel_mixture import Hypothesis, covering, with_covariance
 from thorvaldc.runtime.se2 import Row3
 
 _FOLLOWING: Final = 0.03
@@ -129,6 +129,8 @@ _OTHER_CAUSE: Final = 5.0
 """Price of each further cause of wrong encoders, and of each further wheel that a push explains."""
 _SLIDING: Final = 9.0
 """Price of wheels that slide: as likely as encoders that are wrong together."""
+_RADII: Final = 16.0
+_RADIUS_ERROR: Final = 0.1
 _AGAINST_MOTOR: Final = 5.0
 """Further price of wheels that the ground turns backwards or faster than their motors should."""
 _CREDIBLE: Final = 6.63
@@ -361,6 +363,7 @@ class CauseSearch:
         if not disagree:
             # The agreement of wheels that contradict their commands proves nothing.
             return [*hypotheses, self.sliding(measurements, fit)] if may_slide else hypotheses
+        hypotheses += self._wrong_radii(measurements, fit)
         known = [{*h.wrong} for h in encoders_wrong]
         singles = self._one_more_wrong(healthy, known)
         singles.sort(key=_cost)
@@ -388,6 +391,28 @@ class CauseSearch:
             last = self._encoders_wrong(every, measurements, 0.0)
             likely.append(last._replace(cost=best.cost + _NEGLIGIBLE))
         return likely
+
+    # -- hypothesis 5 -------------------------------------------------------------------
+
+    def _wrong_radii(self, measurements: list[Measurement], fit: Fit) -> list[Hypothesis]:
+        """Returns the hypothesis that radii are wrong by what the wheels and a gyro show."""
+        vx, vy, wz = fit.vx, fit.vy, fit.wz
+        every = encoders(measurements)
+        yaw_rate = self._fits.yaw_rate
+        error = abs(yaw_rate / wz - 1.0) if yaw_rate is not None and wz else 0.0
+        if yaw_rate is not None and abs(yaw_rate - wz) < 3.0 * math.sqrt(self._fits.squares[5]):
+            error = 0.0
+        for k in every:
+            flags, c, s, x, y, mx, my, v_l, _ = fit.measurements[k]
+            rolls = c * (vx - y * wz) + s * (vy + x * wz)
+            error = max(error, abs(c * mx + s * my - rolls) / max(abs(rolls), 1e-9))
+        if error > _RADIUS_ERROR:
+            return []
+        growth = max(1.0, self._fits.misfit(fit) / max(len(every) - 1, 1))
+        scale = 1.0 + error
+        scaled = Fit(scale * vx, scale * vy, scale * wz, *(0.0,) * 6, fit.measurements)
+        fit = covering(fit, [1.0, 1.0], [with_covariance(fit, growth), scaled])
+        return [Hypothesis((), (), fit, _RADII, 0.0, _LEAST_WEIGHT, fit, measurements, every)]
 
     # -- hypothesis 3 -------------------------------------------------------------------
 
