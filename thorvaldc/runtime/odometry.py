@@ -416,7 +416,7 @@ class LastingErrors:
         twist = Twist(c * dx + s * dy, c * dy - s * dx, (pose.yaw - previous.yaw) / elapsed)
         estimator = self._estimator
         errors = estimator.lasting_errors(joints, estimate, twist)
-        # The odometry itself treats errors in directions that no wheel measures, and undecided ones.
+        # The odometry itself treats errors in directions that no wheel measures.
         tau = estimator.noise.correlation if estimate.rank == 3 else 0.0
         if not (estimate.dropped or estimate.suspects or estimate.sliding):
             self._twist_covariance = estimate.covariance

@@ -242,20 +242,19 @@ class TwistEstimator:
             fit = fit_twist(measurements, fit.vx, fit.vy, fit.wz, noise, prior, yaw_rate)
         tests = chi_squares(fit)
         if self.options.faulty:
-            disagree = any(map(operator.gt, tests, self.gates)) or (
-                yaw_rate is not None and self._turns_otherwise(fit, yaw_rate)
-            )
+            turns = yaw_rate is not None and self._turns_otherwise(fit, yaw_rate)
+            disagree = turns or any(map(operator.gt, tests, self.gates))
             if disagree or self.may_deviate(states.speeds, commanded):
                 return self._mixture(
-                    measurements, fit, tests, prior, states, rank, commanded, disagree
+                    measurements, fit, tests, prior, states, rank, commanded, disagree, turns
                 )
         return self._result(fit, tests, rank)
 
     def _turns_otherwise(self, fit: Fit, yaw_rate: float) -> bool:
         """Returns whether a gyro contradicts the wheels, which no test of a wheel may show.
 
-        ``fit``: fitted twist with the gyro, whose influence on its own estimate is h.  Without it,
-        the residual r is r / (1 - h).  Wheels that skid may turn the robot otherwise than they turn.
+        ``fit``: fitted twist with the gyro.  The covariance of the residual is as in
+        ``chi_squares``.  A robot with wheels that skid may turn otherwise than its wheels.
         """
         gyro2 = self.squares[5]
         residual, variance = yaw_rate - fit.wz, gyro2 - fit.p33
@@ -504,6 +503,7 @@ class TwistEstimator:
         rank: int,
         commanded: Sequence[float] | None,
         disagree: bool,
+        turns: bool,
     ) -> TwistEstimate:
         """Returns the mixture of the hypotheses that explain the readings.
 
@@ -522,7 +522,7 @@ class TwistEstimator:
             self._solve, self.squares, prior, self.prior, yaw_rate, 1 + self.options.polish
         )
         search = wheel_causes.CauseSearch(
-            self.gates, self._price, self.options.faulty, self.length2, against, fits
+            self.gates, self._price, self.options.faulty, self.length2, against, fits, turns
         )
         hypotheses = search.likely_hypotheses(measurements, fit, disagree)
         if not hypotheses:

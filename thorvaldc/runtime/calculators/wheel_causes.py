@@ -110,6 +110,8 @@ It is added to half of the wheels' speed.
 """
 _SLIDING_SHARE: Final = 0.6
 """Standard deviation of the speed of a robot that slides for certain, relative to its wheels."""
+_PULLED: Final = 0.3
+"""Least standard deviation (m/s) of that speed: a pull may be faster than the wheels."""
 _IMPOSSIBLE: Final = 2.0
 """Multiple of the top speed above which a reading is wrong: sliding does not explain it."""
 _SKID_TURN: Final = 0.25
@@ -326,6 +328,7 @@ class CauseSearch:
     - ``length2``: square of the length (m) that relates yaw rates to speeds.
     - ``against``: wheels that contradict their commands.
     - ``fits``: fits of the twist for given causes.
+    - ``turns_otherwise``: ``True`` if a gyro contradicts the readings.
     """
 
     def __init__(
@@ -336,6 +339,7 @@ class CauseSearch:
         length2: float,
         against: Contradiction,
         fits: Fits,
+        turns_otherwise: bool,
     ) -> None:
         self._gates = gates
         self._price = price
@@ -343,6 +347,7 @@ class CauseSearch:
         self._length2 = length2
         self._against = against
         self._fits = fits
+        self._turns_otherwise = turns_otherwise
 
     def likely_hypotheses(
         self, measurements: list[Measurement], fit: Fit, disagree: bool
@@ -403,7 +408,7 @@ class CauseSearch:
         if yaw_rate is not None and abs(yaw_rate - wz) < 3.0 * math.sqrt(self._fits.squares[5]):
             error = 0.0
         for k in every:
-            flags, c, s, x, y, mx, my, v_l, _ = fit.measurements[k]
+            _, c, s, x, y, mx, my, _, _ = fit.measurements[k]
             rolls = c * (vx - y * wz) + s * (vy + x * wz)
             error = max(error, abs(c * mx + s * my - rolls) / max(abs(rolls), 1e-9))
         if error > _RADIUS_ERROR:
@@ -481,7 +486,7 @@ class CauseSearch:
         turning = self._gyro_slip(measurements)
         share = 1.0
         if certain or turning:
-            sigma = max(sigma, _SLIDING_SHARE * fastest, 2.0 * turning)
+            sigma = max(sigma, _SLIDING_SHARE * fastest, 2.0 * turning, _PULLED)
             share = 0.5
         cost = _SLIDING + _OTHER_CAUSE * max(self._against.pushed - 1, 0)
         cost += _AGAINST_MOTOR * against_motor
@@ -511,8 +516,11 @@ class CauseSearch:
         without_gyro = self._fits._replace(yaw_rate=None)
         every, commands = encoders(measurements), self._against.commands
         wz = without_gyro.with_speeds(measurements, every, commands)[0].wz
+        length = math.sqrt(self._length2)
+        if self._turns_otherwise and not self._against.wheels:
+            return length * abs(yaw_rate - wz)
         # The wheels disagree already, so that a skid is no explanation.
-        return gyro_contradiction(yaw_rate, wz, math.sqrt(self._length2), self._fits.squares[5])
+        return gyro_contradiction(yaw_rate, wz, length, self._fits.squares[5])
 
     def _with_gyro(self, wz: float, variance: float) -> tuple[float, float, float]:
         """Returns a yaw rate and its variance after a measurement by the gyro, and the misfit.
