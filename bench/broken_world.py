@@ -60,7 +60,7 @@ _LEAST_SKIDDING = 0.8
 CASE_FAMILY = "4 steered, wide"
 _WARM_UP = 20
 """Ticks before the break in which the evaluated odometry runs."""
-_TIPPING = math.cos(math.radians(10.0))
+_TIPPING = math.cos(math.radians(5.0))
 """Cosine of the tilt from which a robot tips over."""
 _BOUND = 16.266
 """99.9 % quantile of the chi-square distribution with 3 degrees of freedom."""

@@ -311,6 +311,7 @@ def contradiction(
     causes = max(pushed + min(len(shares), len(readings)), 1)
     # A push turns all wheels.
     doubtful = doubtful or highest - lowest > common or (untested and len(wheels) < len(every))
+    doubtful = doubtful or (len(every) == 1 and len(wheels) == 1)
     return Contradiction(tuple(wheels), commands, causes, pushed, doubtful)
 
 
@@ -367,7 +368,9 @@ class CauseSearch:
         may_slide = turns_otherwise or any(k not in impossible for k in self._against.wheels)
         if not disagree:
             # The agreement of wheels that contradict their commands proves nothing.
-            return [*hypotheses, self.sliding(measurements, fit)] if may_slide else hypotheses
+            if may_slide:
+                hypotheses.append(self.sliding(measurements, fit, disagree=False))
+            return hypotheses
         hypotheses += self._wrong_radii(measurements, fit)
         known = [{*h.wrong} for h in encoders_wrong]
         singles = self._one_more_wrong(healthy, known)
@@ -457,7 +460,12 @@ class CauseSearch:
     # -- hypothesis 4 -------------------------------------------------------------------
 
     def sliding(
-        self, measurements: list[Measurement], fit: Fit, *, certain: bool = False
+        self,
+        measurements: list[Measurement],
+        fit: Fit,
+        *,
+        disagree: bool = True,
+        certain: bool = False,
     ) -> Hypothesis:
         """Returns the hypothesis that the wheels slide.
 
@@ -479,7 +487,10 @@ class CauseSearch:
                 sigma = max(sigma, abs(measured - command) / 2.0 + _DRAGGED)
                 continue
             share = measured / command
-            slip = min(abs(1.0 - share), 2.0) * fastest / 2.0
+            deviation = min(abs(1.0 - share), 2.0)
+            if disagree:
+                deviation = max(deviation, math.sqrt(deviation))
+            slip = deviation * fastest / 2.0
             if slip > sigma:
                 sigma = slip
                 against_motor = not -_EQUAL_SHARES < share < 1.0 + _EQUAL_SHARES
