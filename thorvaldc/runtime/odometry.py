@@ -17,6 +17,8 @@ LONGEST_INTERVAL: Final = 0.5
 """Longest interval (s) between two joint states over which the odometry integrates the motion."""
 LOW_RANK_CORRELATION: Final = 10.0
 """Correlation time (s) of the velocity errors in directions that no wheel measures."""
+_SAME_CAUSE: Final = 10.0
+"""Time (s) in which wheels that disagree again have the same cause."""
 _TIME_CONSTANT: Final = 2.0
 """Time constant (s) of the share of time in which a wheel is left out or doubted."""
 _WARNED_SHARE: Final = 0.5
@@ -105,7 +107,7 @@ class Odometry:
         pose = self.pose.moved(motion)
         undecided = self._undecided
         if estimate.dropped or estimate.suspects or estimate.sliding:
-            undecided, growth = undecided.after(pose, estimate.covariance, elapsed)
+            undecided, growth = undecided.after(pose, estimate.covariance, elapsed, joints.time)
             covariance = se2.combine(covariance, growth)
         if pose != self.pose:
             self.motion_time += elapsed
@@ -164,26 +166,31 @@ class UndecidedErrors(NamedTuple):
         T integral of Ad(pose) Q Ad(pose)' dt
 
     where T is the time in which the wheels were undecided (inequality of Cauchy and Schwarz).
+    Another cause, ``_SAME_CAUSE`` later, has independent errors.
 
     - ``time``: T (s).
     - ``integral``: the integral above.
+    - ``end``: time (s) of the last joint states in T.
     """
 
     time: float
     integral: Cov3
+    end: float
 
-    def after(self, pose: Pose2, q: Cov3, dt: float) -> tuple[UndecidedErrors, Cov3]:
-        """Returns the errors after ``dt`` s with the twist covariance ``q``, and the growth of the
-        covariance of ``pose``."""
-        time = self.time + dt
+    def after(self, pose: Pose2, q: Cov3, dt: float, end: float) -> tuple[UndecidedErrors, Cov3]:
+        """Returns the errors after ``dt`` s more, and the growth of the covariance of ``pose``.
+
+        ``q``: covariance of the twist in this time.
+        """
+        time, integral, _ = self if end - self.end < _SAME_CAUSE else _DECIDED
         added = se2.seen_from(ORIGIN.relative_to(pose), q)
-        integral = se2.combine(self.integral, added, dt)
-        growth = se2.combine(ZERO_COV, self.integral, dt)
-        growth = se2.combine(growth, added, time * dt)
-        return UndecidedErrors(time, integral), se2.seen_from(pose, growth)
+        growth = se2.combine(ZERO_COV, integral, dt)
+        growth = se2.combine(growth, added, (time + dt) * dt)
+        undecided = UndecidedErrors(time + dt, se2.combine(integral, added, dt), end)
+        return undecided, se2.seen_from(pose, growth)
 
 
-_DECIDED: Final = UndecidedErrors(0.0, ZERO_COV)
+_DECIDED: Final = UndecidedErrors(0.0, ZERO_COV, -math.inf)
 
 
 def mean_states(start: JointStates, end: JointStates, dt: float) -> CheckedJointStates:

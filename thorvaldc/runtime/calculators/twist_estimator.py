@@ -56,6 +56,12 @@ from thorvaldc.runtime.se2 import Cov3, Row3, Twist
 __all__ = ["EstimatorOptions", "Noise", "TwistEstimate", "TwistEstimator"]
 
 _UNBOUNDED: Final = "the joint states are out of all bounds"
+_SKID_TURN: Final = 0.07
+"""Standard deviation of the yaw rate by wheels that skid, relative to it, common to all wheels.
+
+In MuJoCo, 99.9 % of the yaw rates of robots with four and six skidding wheels are 0.92 to 1.15 of
+that of the wheels.
+"""
 RANK_TOLERANCE: Final = 1e-8
 """The normal matrix has rank 3 if its scaled determinant is at least this large.
 
@@ -248,23 +254,23 @@ class TwistEstimator:
                 return self._mixture(
                     measurements, fit, tests, prior, states, rank, commanded, disagree, turns
                 )
-        return self._result(fit, tests, rank)
+        return self._result(fit, tests, rank, yaw_rate)
 
     def _turns_otherwise(self, fit: Fit, yaw_rate: float) -> bool:
         """Returns whether a gyro contradicts the wheels, which no test of a wheel may show.
 
-        ``fit``: fitted twist with the gyro.  The covariance of the residual is as in
-        ``chi_squares``.  A robot with wheels that skid may turn otherwise than its wheels.
+        The residual r of the gyro in a fit that gives it the influence h on its own estimate is
+        r / (1 - h) without it, with the variance gyro^2 / (1 - h).
         """
-        gyro2 = self.squares[5]
-        residual, variance = yaw_rate - fit.wz, gyro2 - fit.p33
-        if variance <= UNTESTABLE * gyro2:
+        ratio2, _, _, _, _, gyro2 = self.squares
+        others = 1.0 - fit.p33 / gyro2
+        if others <= UNTESTABLE:
             return False
-        if not self._skids:
-            return residual * residual > self._price * variance
-        wz = yaw_rate - residual * gyro2 / variance
-        length = math.sqrt(self.length2)
-        return wheel_causes.gyro_contradiction(yaw_rate, wz, length, gyro2, skids=True) > 0.0
+        residual, variance = (yaw_rate - fit.wz) / others, gyro2 / others
+        if self._skids:  # the skid has its own error instead of those in the fit
+            turn = _SKID_TURN * (yaw_rate - residual)
+            variance = gyro2 + turn * turn + ratio2 * (fit.vx**2 + fit.vy**2) / self.length2
+        return residual * residual > self._price * variance
 
     def may_deviate(self, speeds: Sequence[float], commanded: Sequence[float] | None) -> bool:
         """Returns whether a wheel may deviate from its command (rad/s).
@@ -517,7 +523,7 @@ class TwistEstimator:
                 turning.append((w.radius * states.speeds[i], w.radius * commanded[i]))
         against = wheel_causes.contradiction(fit, measurements, turning)
         if not (disagree or against.doubtful):
-            return self._result(fit, tests, rank)
+            return self._result(fit, tests, rank, yaw_rate)
         fits = wheel_causes.Fits(
             self._solve, self.squares, prior, self.prior, yaw_rate, 1 + self.options.polish
         )
@@ -526,31 +532,22 @@ class TwistEstimator:
         )
         hypotheses = search.likely_hypotheses(measurements, fit, disagree)
         if not hypotheses:
-            rows = sum((m[0] & USE_ROLL > 0) + (m[0] & USE_SIDE > 0) for m in measurements)
-            freedom = rows + (yaw_rate is not None) - rank
-            # The reduced chi-square is the factor by which the measured variance exceeds the
-            # assumed variance.
-            growth = max(1.0, fits.misfit(fit) / max(freedom, 1))
-            fits_of_all = [
-                wheel_mixture.with_covariance(fit, growth),
-                search.all_encoders_wrong(measurements),
-                search.sliding(measurements, fit, certain=True).fit,
-            ]
-            covered = wheel_mixture.covering(fit, [1.0, 1.0, 0.25], fits_of_all)
+            covered = search.unexplained(measurements, fit)
             failed = [k for k, d in enumerate(tests) if d > self.gates[k]]
-            return self._result(covered, tests, rank, (), failed)
+            return self._result(covered, tests, rank, yaw_rate, (), failed)
         mean, left_out, suspects, sliding = wheel_mixture.mixture(
             hypotheses, as_measured=not disagree
         )
         if hypotheses[0].wrong:
             tests = chi_squares(hypotheses[0].fit)
-        return self._result(mean, tests, rank, left_out, suspects, sliding)
+        return self._result(mean, tests, rank, yaw_rate, left_out, suspects, sliding)
 
     def _result(
         self,
         fit: Fit,
         tests: Sequence[float],
         rank: int,
+        yaw_rate: float | None,
         dropped: Sequence[int] = (),
         suspects: Sequence[int] = (),
         sliding: Sequence[int] = (),
@@ -563,6 +560,11 @@ class TwistEstimator:
         ``base_link`` by xi' = A xi and P' = A P A', with A = [1 0 ym; 0 1 -xm; 0 0 1].
         """
         vx, vy, wz, p11, p12, p13, p22, p23, p33, _ = fit
+        if self._skids:
+            by_wheels = 1.0 if yaw_rate is None else max(1.0 - p33 / self.squares[5], 0.0)
+            p33 += (_SKID_TURN * by_wheels * wz) ** 2
+            slip = 4.0 * self.squares[4] * self.length2 * wz * wz
+            p11, p22 = p11 + slip, p22 + slip
         xm, ym = self._centre
         if xm or ym:
             vx, vy = vx + ym * wz, vy - xm * wz

@@ -75,6 +75,7 @@ from thorvaldc.runtime.calculators.twist_fit import (
     fit_twist,
     misfit,
     rolling_leverage,
+    rolling_speed,
     unweighted_normal_equations,
 )
 from thorvaldc.runtime.calculators.wheel_mixture import Hypothesis, covering, with_covariance
@@ -114,12 +115,6 @@ _PULLED: Final = 0.3
 """Least standard deviation (m/s) of that speed: a pull may be faster than the wheels."""
 _IMPOSSIBLE: Final = 2.0
 """Multiple of the top speed above which a reading is wrong: sliding does not explain it."""
-_SKID_TURN: Final = 0.25
-"""Largest deviation of the yaw rate from that of skidding wheels on good ground, relative to it.
-
-In MuJoCo, 99.9 % of the yaw rates of robots with four and six skidding wheels are 0.92 to 1.15 of
-that of the wheels.
-"""
 _HELD_YAW_RATE: Final = 0.02
 """Standard deviation (rad/s) of the yaw rate of a robot that is held."""
 
@@ -153,22 +148,6 @@ _PAIR_SEEDS: Final = 3
 def following_error(speed: float) -> float:
     """Returns the largest error (m/s) of a wheel that follows its commanded speed (m/s)."""
     return FOLLOWING_FLOOR + _FOLLOWING * abs(speed)
-
-
-def gyro_contradiction(
-    yaw_rate: float, wz: float, length: float, gyro2: float, *, skids: bool = False
-) -> float:
-    """Returns the speed (m/s) at the wheels by which a gyro contradicts them, or 0 if it does not.
-
-    - ``yaw_rate``, ``gyro2``: yaw rate (rad/s) that the gyro measures, and its variance.
-    - ``wz``: yaw rate (rad/s) of the wheels, ``length`` (m) away.
-    - ``skids``: ``True`` if a skid may explain a difference.
-    """
-    difference = length * abs(yaw_rate - wz)
-    share = _SKID_TURN if skids else _FOLLOWING
-    noise = 3.0 * math.sqrt(gyro2)
-    allowed = FOLLOWING_FLOOR + length * (share * abs(wz) + noise)
-    return difference if difference > allowed else 0.0
 
 
 class Fits(NamedTuple):
@@ -231,9 +210,8 @@ class Fits(NamedTuple):
             fit = add_rolling_speed(fit, k, speeds[k], following_error(speeds[k]) ** 2)
         disagreement = self.misfit(fit)
         for k in wheels:
-            _, c, s, x, y = fit.measurements[k][:5]
-            rolls = c * (fit.vx - y * fit.wz) + s * (fit.vy + x * fit.wz)
-            disagreement += ((speeds[k] - rolls) / following_error(speeds[k])) ** 2
+            error = (speeds[k] - rolling_speed(fit, k)) / following_error(speeds[k])
+            disagreement += error * error
         return fit, disagreement
 
     def misfit(self, fit: Fit) -> float:
@@ -282,7 +260,7 @@ def contradiction(
     readings: list[float] = []
     pushed, doubtful, highest, lowest = 0, False, -math.inf, math.inf
     common = _COMMON_LAG
-    untested = False
+    untested = stops = False
     every = encoders(measurements)
     for k in every:
         measured, command = turning[k]
@@ -293,25 +271,28 @@ def contradiction(
             continue
         wheels.append(k)
         confirmed = rolling_leverage(fit, k) <= _UNCONFIRMED
+        if not (confirmed and measurements[k][0] & TEST_ROLL):
+            untested, common = True, _COMMON_LAG_UNCONFIRMED
+            rolls = rolling_speed(fit, k)
+            doubtful = doubtful or abs(measured - rolls) > following_error(rolls)
         if abs(command) <= _COMMANDED_SPEED:
             pushed += confirmed
-            untested = untested or not (confirmed and measurements[k][0] & TEST_ROLL)
+            stops = True
             continue
         doubtful = doubtful or abs(share - 1.0) > _DOUBTFUL
         if confirmed:
             _add_distinct(shares, share, _EQUAL_SHARES)
             _add_distinct(readings, measured, _EQUAL_READINGS)
-        else:
-            common = _COMMON_LAG_UNCONFIRMED
     commands = [
         # The contact of a wheel beside its steering axis also moves with the steering joint.
         m[5] + command - measured
         for m, (measured, command) in zip(measurements, turning, strict=True)
     ]
     causes = max(pushed + min(len(shares), len(readings)), 1)
-    # A push turns all wheels.
-    doubtful = doubtful or highest - lowest > common or (untested and len(wheels) < len(every))
-    doubtful = doubtful or (len(every) == 1 and len(wheels) == 1)
+    doubtful = doubtful or highest - lowest > common
+    # A push turns all wheels.  Nothing confirms a single one.
+    if untested and (len(every) == 1 or (stops and len(wheels) < len(every))):
+        doubtful = True
     return Contradiction(tuple(wheels), commands, causes, pushed, doubtful)
 
 
@@ -369,7 +350,7 @@ class CauseSearch:
         if not disagree:
             # The agreement of wheels that contradict their commands proves nothing.
             if may_slide:
-                hypotheses.append(self.sliding(measurements, fit, disagree=False))
+                hypotheses.append(self._sliding(measurements, fit, disagree=False))
             return hypotheses
         hypotheses += self._wrong_radii(measurements, fit)
         known = [{*h.wrong} for h in encoders_wrong]
@@ -382,7 +363,7 @@ class CauseSearch:
                 visited = [s.wrong[0] for s in singles[:rank]]
                 hypotheses += self._one_more_wrong(single, known, visited)
         if may_slide:
-            sliding = self.sliding(measurements, fit)
+            sliding = self._sliding(measurements, fit)
             if turns_otherwise:
                 # Wrong wheels explain by accident that few wheels and a gyro disagree.
                 most = min(h.cost for h in hypotheses) + _NEGLIGIBLE
@@ -399,28 +380,6 @@ class CauseSearch:
             last = self._encoders_wrong(every, measurements, 0.0)
             likely.append(last._replace(cost=best.cost + _NEGLIGIBLE))
         return likely
-
-    # -- hypothesis 5 -------------------------------------------------------------------
-
-    def _wrong_radii(self, measurements: list[Measurement], fit: Fit) -> list[Hypothesis]:
-        """Returns the hypothesis that radii are wrong by what the wheels and a gyro show."""
-        vx, vy, wz = fit.vx, fit.vy, fit.wz
-        every = encoders(measurements)
-        yaw_rate = self._fits.yaw_rate
-        error = abs(yaw_rate / wz - 1.0) if yaw_rate is not None and wz else 0.0
-        if yaw_rate is not None and abs(yaw_rate - wz) < 3.0 * math.sqrt(self._fits.squares[5]):
-            error = 0.0
-        for k in every:
-            _, c, s, x, y, mx, my, _, _ = fit.measurements[k]
-            rolls = c * (vx - y * wz) + s * (vy + x * wz)
-            error = max(error, abs(c * mx + s * my - rolls) / max(abs(rolls), 1e-9))
-        if error > _RADIUS_ERROR:
-            return []
-        growth = max(1.0, self._fits.misfit(fit) / max(len(every) - 1, 1))
-        scale = 1.0 + error
-        scaled = Fit(scale * vx, scale * vy, scale * wz, *(0.0,) * 6, fit.measurements)
-        fit = covering(fit, [1.0, 1.0], [with_covariance(fit, growth), scaled])
-        return [Hypothesis((), (), fit, _RADII, 0.0, _LEAST_WEIGHT, fit, measurements, every)]
 
     # -- hypothesis 3 -------------------------------------------------------------------
 
@@ -459,7 +418,7 @@ class CauseSearch:
 
     # -- hypothesis 4 -------------------------------------------------------------------
 
-    def sliding(
+    def _sliding(
         self,
         measurements: list[Measurement],
         fit: Fit,
@@ -474,6 +433,7 @@ class CauseSearch:
         """
         every, wheels = encoders(measurements), self._against.wheels
         commands = self._against.commands
+        disagree = disagree or len(wheels) < len(every)
         if impossible := self._impossible(measurements):
             fit = self._fits.with_speeds(measurements, impossible, commands)[0]
             every = tuple(k for k in every if k not in impossible)
@@ -514,11 +474,6 @@ class CauseSearch:
         limit = _IMPOSSIBLE / math.sqrt(self._fits.weak_prior[0])
         return [k for k in encoders(measurements) if abs(measurements[k][5]) > limit]
 
-    def all_encoders_wrong(self, measurements: list[Measurement]) -> Fit:
-        """Fits where all encoders are wrong, and all wheels follow their commands."""
-        every = encoders(measurements)
-        return self._fits.with_speeds(measurements, every, self._against.commands)[0]
-
     def _gyro_slip(self, measurements: list[Measurement]) -> float:
         """Returns the speed (m/s) at the wheels by which a gyro contradicts the commands, or 0."""
         yaw_rate = self._fits.yaw_rate
@@ -527,11 +482,13 @@ class CauseSearch:
         without_gyro = self._fits._replace(yaw_rate=None)
         every, commands = encoders(measurements), self._against.commands
         wz = without_gyro.with_speeds(measurements, every, commands)[0].wz
-        length = math.sqrt(self._length2)
+        length, noise = math.sqrt(self._length2), 3.0 * math.sqrt(self._fits.squares[5])
+        difference = length * abs(yaw_rate - wz)
         if self._turns_otherwise and not self._against.wheels:
-            return length * abs(yaw_rate - wz)
+            return difference
         # The wheels disagree already, so that a skid is no explanation.
-        return gyro_contradiction(yaw_rate, wz, length, self._fits.squares[5])
+        allowed = FOLLOWING_FLOOR + length * (_FOLLOWING * abs(wz) + noise)
+        return difference if difference > allowed else 0.0
 
     def _with_gyro(self, wz: float, variance: float) -> tuple[float, float, float]:
         """Returns a yaw rate and its variance after a measurement by the gyro, and the misfit.
@@ -546,6 +503,43 @@ class CauseSearch:
         stands = yaw_rate * yaw_rate / (noise + _HELD_YAW_RATE**2)
         wz += variance / total * (yaw_rate - wz)
         return wz, variance * noise / total, min(slides, stands)
+
+    # -- hypothesis 5, and readings that no hypothesis explains ---------------------------
+
+    def _wrong_radii(self, measurements: list[Measurement], fit: Fit) -> list[Hypothesis]:
+        vx, vy, wz = fit[:3]
+        every, yaw_rate = encoders(measurements), self._fits.yaw_rate
+        fastest = largest = 0.0
+        for k in every:
+            _, c, s, _, _, mx, my, _, _ = fit.measurements[k]
+            rolls = rolling_speed(fit, k)
+            fastest = max(fastest, abs(rolls))
+            largest = max(largest, abs(c * mx + s * my - rolls))
+        error = largest / fastest if fastest else math.inf
+        if self._turns_otherwise and yaw_rate is not None:
+            error = max(error, abs(yaw_rate - wz) / max(abs(wz), 1e-9))
+        if error > _RADIUS_ERROR:
+            return []
+        scale = 1.0 + error
+        scaled = Fit(scale * vx, scale * vy, scale * wz, *(0.0,) * 6, fit.measurements)
+        wrong = covering(fit, [1.0, 1.0], [self._with_misfit(fit), scaled])
+        return [Hypothesis((), (), wrong, _RADII, 0.0, _LEAST_WEIGHT, fit, measurements, every)]
+
+    def unexplained(self, measurements: list[Measurement], fit: Fit) -> Fit:
+        """Returns ``fit`` with a covariance for readings that no hypothesis explains."""
+        every = encoders(measurements)
+        fits = [
+            self._with_misfit(fit),
+            self._fits.with_speeds(measurements, every, self._against.commands)[0],
+            self._sliding(measurements, fit, certain=True).fit,
+        ]
+        return covering(fit, [1.0, 1.0, _LEAST_WEIGHT], fits)
+
+    def _with_misfit(self, fit: Fit) -> Fit:
+        """Returns ``fit`` with the errors of rolling speeds that its misfit shows."""
+        freedom = sum(1 for m in fit.measurements if m[0] & USE_ROLL) - 1
+        growth = max(1.0, self._fits.misfit(fit) / max(freedom, 1))
+        return with_covariance(fit, growth)
 
     # -- hypotheses 1 and 2 -------------------------------------------------------------
 
