@@ -509,12 +509,13 @@ class CauseSearch:
     def _wrong_radii(self, measurements: list[Measurement], fit: Fit) -> list[Hypothesis]:
         vx, vy, wz = fit[:3]
         every, yaw_rate = encoders(measurements), self._fits.yaw_rate
-        fastest = largest = 0.0
+        fastest = largest = rolling = 0.0
         for k in every:
-            _, c, s, _, _, mx, my, _, _ = fit.measurements[k]
+            _, c, s, _, _, mx, my, v_l, _ = fit.measurements[k]
             rolls = rolling_speed(fit, k)
-            fastest = max(fastest, abs(rolls))
-            largest = max(largest, abs(c * mx + s * my - rolls))
+            residual = abs(c * mx + s * my - rolls)
+            fastest, largest = max(fastest, abs(rolls)), max(largest, residual)
+            rolling += residual * residual / v_l
         error = largest / fastest if fastest else math.inf
         if self._turns_otherwise and yaw_rate is not None:
             error = max(error, abs(yaw_rate - wz) / max(abs(wz), 1e-9))
@@ -523,7 +524,8 @@ class CauseSearch:
         scale = 1.0 + error
         scaled = Fit(scale * vx, scale * vy, scale * wz, *(0.0,) * 6, fit.measurements)
         wrong = covering(fit, [1.0, 1.0], [self._with_misfit(fit), scaled])
-        return [Hypothesis((), (), wrong, _RADII, 0.0, _LEAST_WEIGHT, fit, measurements, every)]
+        cost = _RADII + misfit(fit) - rolling
+        return [Hypothesis((), (), wrong, cost, 0.0, _LEAST_WEIGHT, fit, measurements, every)]
 
     def unexplained(self, measurements: list[Measurement], fit: Fit) -> Fit:
         """Returns ``fit`` with a covariance for readings that no hypothesis explains."""
