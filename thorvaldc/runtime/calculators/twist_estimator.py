@@ -248,29 +248,31 @@ class TwistEstimator:
             fit = fit_twist(measurements, fit.vx, fit.vy, fit.wz, noise, prior, yaw_rate)
         tests = chi_squares(fit)
         if self.options.faulty:
-            turns = yaw_rate is not None and self._turns_otherwise(fit, yaw_rate)
-            disagree = turns or any(map(operator.gt, tests, self.gates))
+            slip = 0.0 if yaw_rate is None else self._gyro_slip(fit, yaw_rate)
+            disagree = slip > 0.0 or any(map(operator.gt, tests, self.gates))
             if disagree or self.may_deviate(states.speeds, commanded):
                 return self._mixture(
-                    measurements, fit, tests, prior, states, rank, commanded, disagree, turns
+                    measurements, fit, tests, prior, states, rank, commanded, disagree, slip
                 )
         return self._result(fit, tests, rank, yaw_rate)
 
-    def _turns_otherwise(self, fit: Fit, yaw_rate: float) -> bool:
-        """Returns whether a gyro contradicts the wheels, which no test of a wheel may show.
+    def _gyro_slip(self, fit: Fit, yaw_rate: float) -> float:
+        """Returns the speed (m/s) at the wheels by which a gyro contradicts them, or 0.
 
-        The residual r of the gyro in a fit that gives it the influence h on its own estimate is
-        r / (1 - h) without it, with the variance gyro^2 / (1 - h).
+        No test of a wheel may show it.  The residual r of the gyro in a fit that gives it the
+        influence h on its own estimate is r / (1 - h) without it, with the variance
+        gyro^2 / (1 - h).
         """
         ratio2, _, _, _, _, gyro2 = self.squares
         others = 1.0 - fit.p33 / gyro2
         if others <= UNTESTABLE:
-            return False
+            return 0.0
         residual, variance = (yaw_rate - fit.wz) / others, gyro2 / others
         if self._skids:  # the skid has its own error instead of those in the fit
             turn = _SKID_TURN * (yaw_rate - residual)
             variance = gyro2 + turn * turn + ratio2 * (fit.vx**2 + fit.vy**2) / self.length2
-        return residual * residual > self._price * variance
+        contradicts = residual * residual > self._price * variance
+        return abs(residual) * math.sqrt(self.length2) if contradicts else 0.0
 
     def may_deviate(self, speeds: Sequence[float], commanded: Sequence[float] | None) -> bool:
         """Returns whether a wheel may deviate from its command (rad/s).
@@ -509,7 +511,7 @@ class TwistEstimator:
         rank: int,
         commanded: Sequence[float] | None,
         disagree: bool,
-        turns: bool,
+        gyro_slip: float,
     ) -> TwistEstimate:
         """Returns the mixture of the hypotheses that explain the readings.
 
@@ -528,7 +530,7 @@ class TwistEstimator:
             self._solve, self.squares, prior, self.prior, yaw_rate, 1 + self.options.polish
         )
         search = wheel_causes.CauseSearch(
-            self.gates, self._price, self.options.faulty, self.length2, against, fits, turns
+            self.gates, self._price, self.options.faulty, self.length2, against, fits, gyro_slip
         )
         hypotheses = search.likely_hypotheses(measurements, fit, disagree)
         if not hypotheses:

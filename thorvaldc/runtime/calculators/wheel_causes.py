@@ -310,7 +310,7 @@ class CauseSearch:
     - ``length2``: square of the length (m) that relates yaw rates to speeds.
     - ``against``: wheels that contradict their commands.
     - ``fits``: fits of the twist for given causes.
-    - ``turns_otherwise``: ``True`` if a gyro contradicts the readings.
+    - ``gyro_slip``: speed (m/s) at the wheels by which a gyro contradicts the readings, or 0.
     """
 
     def __init__(
@@ -321,7 +321,7 @@ class CauseSearch:
         length2: float,
         against: Contradiction,
         fits: Fits,
-        turns_otherwise: bool,
+        gyro_slip: float,
     ) -> None:
         self._gates = gates
         self._price = price
@@ -329,7 +329,7 @@ class CauseSearch:
         self._length2 = length2
         self._against = against
         self._fits = fits
-        self._turns_otherwise = turns_otherwise
+        self._gyro_slip = gyro_slip
 
     def likely_hypotheses(
         self, measurements: list[Measurement], fit: Fit, disagree: bool
@@ -344,9 +344,8 @@ class CauseSearch:
         healthy = self._wrong_wheels((), measurements, fit)
         encoders_wrong = self._wrong_encoders(measurements)
         hypotheses = [healthy, *encoders_wrong]
-        turns_otherwise = self._gyro_slip(measurements) > 0.0
         impossible = self._impossible(measurements)
-        may_slide = turns_otherwise or any(k not in impossible for k in self._against.wheels)
+        may_slide = self._gyro_slip > 0.0 or any(k not in impossible for k in self._against.wheels)
         if not disagree:
             # The agreement of wheels that contradict their commands proves nothing.
             if may_slide:
@@ -364,7 +363,7 @@ class CauseSearch:
                 hypotheses += self._one_more_wrong(single, known, visited)
         if may_slide:
             sliding = self._sliding(measurements, fit)
-            if turns_otherwise:
+            if self._gyro_slip and not self._against.wheels:
                 # Wrong wheels explain by accident that few wheels and a gyro disagree.
                 most = min(h.cost for h in hypotheses) + _NEGLIGIBLE
                 sliding = sliding._replace(cost=min(sliding.cost, most))
@@ -454,10 +453,9 @@ class CauseSearch:
             if slip > sigma:
                 sigma = slip
                 against_motor = not -_EQUAL_SHARES < share < 1.0 + _EQUAL_SHARES
-        turning = self._gyro_slip(measurements)
         share = 1.0
-        if certain or turning:
-            sigma = max(sigma, _SLIDING_SHARE * fastest, 2.0 * turning, _PULLED)
+        if certain or self._gyro_slip:
+            sigma = max(sigma, _SLIDING_SHARE * fastest, 2.0 * self._gyro_slip, _PULLED)
             share = 0.5
         cost = _SLIDING + _OTHER_CAUSE * max(self._against.pushed - 1, 0)
         cost += _AGAINST_MOTOR * against_motor
@@ -473,22 +471,6 @@ class CauseSearch:
     def _impossible(self, measurements: list[Measurement]) -> list[int]:
         limit = _IMPOSSIBLE / math.sqrt(self._fits.weak_prior[0])
         return [k for k in encoders(measurements) if abs(measurements[k][5]) > limit]
-
-    def _gyro_slip(self, measurements: list[Measurement]) -> float:
-        """Returns the speed (m/s) at the wheels by which a gyro contradicts the commands, or 0."""
-        yaw_rate = self._fits.yaw_rate
-        if yaw_rate is None or not self._against.commands:
-            return 0.0
-        without_gyro = self._fits._replace(yaw_rate=None)
-        every, commands = encoders(measurements), self._against.commands
-        wz = without_gyro.with_speeds(measurements, every, commands)[0].wz
-        length, noise = math.sqrt(self._length2), 3.0 * math.sqrt(self._fits.squares[5])
-        difference = length * abs(yaw_rate - wz)
-        if self._turns_otherwise and not self._against.wheels:
-            return difference
-        # The wheels disagree already, so that a skid is no explanation.
-        allowed = FOLLOWING_FLOOR + length * (_FOLLOWING * abs(wz) + noise)
-        return difference if difference > allowed else 0.0
 
     def _with_gyro(self, wz: float, variance: float) -> tuple[float, float, float]:
         """Returns a yaw rate and its variance after a measurement by the gyro, and the misfit.
@@ -517,7 +499,7 @@ class CauseSearch:
             fastest, largest = max(fastest, abs(rolls)), max(largest, residual)
             rolling += residual * residual / v_l
         error = largest / fastest if fastest else math.inf
-        if self._turns_otherwise and yaw_rate is not None:
+        if self._gyro_slip and yaw_rate is not None:
             error = max(error, abs(yaw_rate - wz) / max(abs(wz), 1e-9))
         if error > _RADIUS_ERROR:
             return []
