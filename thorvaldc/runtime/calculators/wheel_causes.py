@@ -231,14 +231,12 @@ class Contradiction(NamedTuple):
     - ``wheels``: indices of the measurements of these wheels, N.
     - ``commands``: commanded rolling speed (m/s) of the contact of each measured wheel, or empty if
       the commands are unknown.
-    - ``causes``: least number of causes that the encoders of N have, if they are wrong.
     - ``pushed``: number of wheels that turn, as others confirm, although they should stand.
     - ``doubtful``: ``True`` if no load, delay or push explains the deviations.
     """
 
     wheels: tuple[int, ...]
     commands: Sequence[float]
-    causes: int
     pushed: int
     doubtful: bool
 
@@ -254,10 +252,8 @@ def contradiction(
     """
     if not turning:
         standing = [k for k in encoders(measurements) if abs(measurements[k][5]) < _STANDING]
-        return Contradiction(tuple(standing), (), 1, 0, False)
+        return Contradiction(tuple(standing), (), 0, False)
     wheels: list[int] = []
-    shares: list[float] = []
-    readings: list[float] = []
     pushed, doubtful, highest, lowest = 0, False, -math.inf, math.inf
     common = _COMMON_LAG
     untested = stops = False
@@ -280,25 +276,16 @@ def contradiction(
             stops = True
             continue
         doubtful = doubtful or abs(share - 1.0) > _DOUBTFUL
-        if confirmed:
-            _add_distinct(shares, share, _EQUAL_SHARES)
-            _add_distinct(readings, measured, _EQUAL_READINGS)
     commands = [
         # The contact of a wheel beside its steering axis also moves with the steering joint.
         m[5] + command - measured
         for m, (measured, command) in zip(measurements, turning, strict=True)
     ]
-    causes = max(pushed + min(len(shares), len(readings)), 1)
     doubtful = doubtful or highest - lowest > common
     # A push turns all wheels.  Nothing confirms a single one.
     if untested and (len(every) == 1 or (stops and len(wheels) < len(every))):
         doubtful = True
-    return Contradiction(tuple(wheels), commands, causes, pushed, doubtful)
-
-
-def _add_distinct(values: list[float], value: float, tolerance: float) -> None:
-    if all(abs(value - other) > tolerance for other in values):
-        values.append(value)
+    return Contradiction(tuple(wheels), commands, pushed, doubtful)
 
 
 class CauseSearch:
@@ -396,7 +383,7 @@ class CauseSearch:
                 return []
         alone = len(wheels) == 1 and self._against.doubtful
         price = _ONE_ENCODER if alone else _ENCODERS
-        price += _OTHER_CAUSE * (self._against.causes - 1)
+        price += _OTHER_CAUSE * max(self._against.pushed - 1, 0)
         hypotheses = [self._encoders_wrong(wheels, measurements, price)]
         if hypotheses[0].worst_ratio > 1.0:
             price += self._price
