@@ -25,7 +25,7 @@ N are the wheels that contradict their commands: |z - c| exceeds the error e(c) 
 3.  The encoders of N are wrong, the robot moves as the other wheels say, and N follow their
     commands.  Price ``_ONE_ENCODER`` for one wheel, if no load explains its deviation, and
     ``_ENCODERS`` for more, which then share a cause, such as a cable.  Encoders that read different
-    shares of their commands share no cause: ``_OTHER_CAUSE`` for each further share.  If the other
+    shares of their commands share no cause: ``_PUSHED`` for each further share.  If the other
     wheels disagree, one more is wrong.  Most wheels may deviate by a load or a delay instead.
 4.  The readings are right, and the wheels slide: the robot is held or pulled.  Price ``_SLIDING``.
     Its twist is the fit of all wheels with the standard deviation |1 - z / c| v / 2 of the wheel
@@ -96,10 +96,8 @@ _COMMON_LAG: Final = 0.1
 """Largest difference of the shares of their commands that wheels with a common lag reach."""
 _COMMON_LAG_UNCONFIRMED: Final = 0.03
 """The same for wheels whose speeds no other wheel confirms: the error goes unseen."""
-_EQUAL_SHARES: Final = 0.1
-"""Largest difference between the shares of their commands that encoders with one cause read."""
-_EQUAL_READINGS: Final = 0.005
-"""Largest difference (m/s) between the readings of encoders with one cause."""
+_OVERSHOOT: Final = 0.1
+"""Share of its command by which a motor exceeds it, or turns backwards."""
 _STANDING: Final = 0.005
 """Speed (m/s) below which a wheel stands."""
 _UNCONFIRMED: Final = 0.75
@@ -121,13 +119,15 @@ _HELD_YAW_RATE: Final = 0.02
 _ONE_ENCODER: Final = 5.0
 """Price of one wrong encoder, the most frequent of the causes here."""
 _ENCODERS: Final = 10.0
-"""Price of wrong encoders with one cause, and of one whose deviation a load may explain."""
-_OTHER_CAUSE: Final = 5.0
-"""Price of each further cause of wrong encoders, and of each further wheel that a push explains."""
+"""Price of several wrong encoders, and of one whose deviation a load may explain."""
+_PUSHED: Final = 5.0
+"""Price of each further wheel that turns although it should stand."""
 _SLIDING: Final = 9.0
 """Price of wheels that slide: as likely as encoders that are wrong together."""
 _RADII: Final = 16.0
+"""Price of wrong radii."""
 _RADIUS_ERROR: Final = 0.1
+"""Largest error of a radius, relative to it: that of a tyre without air."""
 _AGAINST_MOTOR: Final = 5.0
 """Further price of wheels that the ground turns backwards or faster than their motors should."""
 _CREDIBLE: Final = 6.63
@@ -383,7 +383,7 @@ class CauseSearch:
                 return []
         alone = len(wheels) == 1 and self._against.doubtful
         price = _ONE_ENCODER if alone else _ENCODERS
-        price += _OTHER_CAUSE * max(self._against.pushed - 1, 0)
+        price += _PUSHED * max(self._against.pushed - 1, 0)
         hypotheses = [self._encoders_wrong(wheels, measurements, price)]
         if hypotheses[0].worst_ratio > 1.0:
             price += self._price
@@ -439,12 +439,12 @@ class CauseSearch:
             slip = deviation * fastest / 2.0
             if slip > sigma:
                 sigma = slip
-                against_motor = not -_EQUAL_SHARES < share < 1.0 + _EQUAL_SHARES
+                against_motor = not -_OVERSHOOT < share < 1.0 + _OVERSHOOT
         share = 1.0
         if certain or self._gyro_slip:
             sigma = max(sigma, _SLIDING_SHARE * fastest, 2.0 * self._gyro_slip, _PULLED)
             share = 0.5
-        cost = _SLIDING + _OTHER_CAUSE * max(self._against.pushed - 1, 0)
+        cost = _SLIDING + _PUSHED * max(self._against.pushed - 1, 0)
         cost += _AGAINST_MOTOR * against_motor
         variance = sigma * sigma
         wz, angular, gyro_misfit = self._with_gyro(share * fit.wz, variance / self._length2)
