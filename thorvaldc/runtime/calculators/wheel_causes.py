@@ -9,6 +9,7 @@ healthy           rolls, lags, is pushed, stalls             reading z
 wrong encoder     dead, reversed, stuck, wrong scale         command c
 sliding           ice, mud, held by a wall, pulled           anything up to the speed of the wheels
 wrong wheel       wrong steering angle, slips alone          what agrees with the other wheels
+wrong radius      worn, without air                          reading z, a little wrong
 ================  =========================================  =======================================
 
 A hypothesis gives each wheel a cause, and has its own fit of the twist.  Up to a constant, its cost
@@ -24,20 +25,25 @@ N are the wheels that contradict their commands: |z - c| exceeds the error e(c) 
     ``q`` is the chi-square that a healthy wheel exceeds with the permitted rate of false alarms.
 3.  The encoders of N are wrong, the robot moves as the other wheels say, and N follow their
     commands.  Price ``_ONE_ENCODER`` for one wheel, if no load explains its deviation, and
-    ``_ENCODERS`` for more, which then share a cause, such as a cable.  Encoders that read different
-    shares of their commands share no cause: ``_PUSHED`` for each further share.  If the other
+    ``_ENCODERS`` for more; ``_PUSHED`` more for each further wheel that should stand.  If the other
     wheels disagree, one more is wrong.  Most wheels may deviate by a load or a delay instead.
 4.  The readings are right, and the wheels slide: the robot is held or pulled.  Price ``_SLIDING``.
-    Its twist is the fit of all wheels with the standard deviation |1 - z / c| v / 2 of the wheel
-    that deviates most, where v is the speed of the fastest wheel.  A held robot and one that moves
-    as commanded then lie within two standard deviations.  A reading above ``_IMPOSSIBLE`` times the
-    top speed is wrong here too.
+    Its twist is the fit of all wheels with a standard deviation that follows from the wheel that
+    deviates most, by d = |1 - z / c|: d v / 2 if all wheels deviate, where v is the speed of the
+    fastest wheel, and sqrt(d) v / 2 if the wheels disagree.  A held robot and one that moves as
+    commanded then lie within two standard deviations if a wheel stands, and within four if one is
+    slower by a quarter: the ground says more than that wheel.  A reading above ``_IMPOSSIBLE``
+    times the top speed is wrong here too.
+5.  The radii are wrong.  Price ``_RADII``.  Its twist is the fit of all wheels, with the errors of
+    rolling speeds that the misfit shows, and with a common error of all speeds as large as the
+    largest that a wheel or a gyro shows: most wheels may be wrong by the same share.
 
 A motor that turns as commanded says nothing about the ground.  If three wheels of four turn as
 commanded and one stands, its encoder is dead (3), or the robot stands and three wheels spin (4).
 Neither the vote of the three wheels nor their commands decide.  A gyro decides if the hypotheses
-differ in the yaw rate; it contradicts wheels that skid only if a skid does not explain the
-difference.  Wheels that contradict their commands and agree with each other decide too:
+differ in the yaw rate.  If it contradicts wheels that follow their commands, hypothesis 4 remains
+likely at any cost, because a wrong wheel explains by accident that few wheels and a gyro disagree.
+Wheels that contradict their commands and agree with each other decide too:
 a push turns all of them at once, but several stuck encoders agree by accident only.  Without
 commands, N are the wheels that stand while others turn.
 
@@ -49,10 +55,12 @@ most 1 / w, below the 99.9 % quantile 16.3 of the chi-square distribution with 3
 Wheels that agree may still contradict their commands: all of them, or wheels that no other wheel
 confirms.  Hypotheses 3 and 4 are then added to the covariance, unless a load or a delay may explain
 the deviation: all wheels read nearly the same share of their commands, between 1 - ``_DOUBTFUL``
-and 1 + ``_DOUBTFUL``; wheels that no other wheel confirms must read more nearly the same.  A push
-is no contradiction if all wheels turn, or if the wheels that stand would fail a test.
+and 1 + ``_DOUBTFUL``; wheels that no other wheel confirms, or that skid, must read more nearly the
+same.  Nothing confirms a single wheel.  A push is no contradiction if all wheels turn, or if the
+wheels that stand would fail a test.
 
-Wheels do not see that all of them spin as commanded on a robot that is held, nor a wrong radius.
+Wheels do not see that all of them spin as commanded on a robot that is held, nor that all radii are
+wrong by the same share, nor an error that stays below the gates.
 """
 
 from __future__ import annotations
@@ -476,6 +484,7 @@ class CauseSearch:
     # -- hypothesis 5, and readings that no hypothesis explains ---------------------------
 
     def _wrong_radii(self, measurements: list[Measurement], fit: Fit) -> list[Hypothesis]:
+        """Returns the hypothesis that the radii are wrong, if their errors are possible."""
         vx, vy, wz = fit[:3]
         every, yaw_rate = encoders(measurements), self._fits.yaw_rate
         fastest = largest = rolling = 0.0
