@@ -14,6 +14,9 @@ Some trials cannot be judged by wheels: all of them spin as commanded on a body 
 such a tick, no wheel deviates from its command and none disagrees with the others.  An oracle
 knows the true twist in all other ticks, and takes that of the wheels in these.  A trial in which
 the oracle is outside of the bound is counted as ``hidden``, and not as ``outside``.
+
+A trial ends when the robot tips over, such as one that climbs a wall: the pose is then not one in
+the plane, and a yaw rate about the vertical is none that a gyro measures.
 """
 
 from __future__ import annotations
@@ -57,6 +60,8 @@ _LEAST_SKIDDING = 0.8
 CASE_FAMILY = "4 steered, wide"
 _WARM_UP = 20
 """Ticks before the break in which the evaluated odometry runs."""
+_TIPPING = math.cos(math.radians(5.0))
+"""Cosine of the tilt from which a robot tips over."""
 _BOUND = 16.266
 """99.9 % quantile of the chi-square distribution with 3 degrees of freedom."""
 
@@ -98,6 +103,7 @@ def record(world: World, name: str, trials: int) -> Recording:
         poses=poses,
         yaw_rates=np.array([row.yaw_rates for row in rows]),
         breaks=np.array([row.broken_at for row in rows]),
+        ends=np.array([row.end for row in rows]),
         changes=np.array([row.change for row in rows]),
     )
 
@@ -109,6 +115,7 @@ class _Trial(NamedTuple):
     poses: list[Pose2]
     yaw_rates: list[float]
     broken_at: int
+    end: int
     change: str
 
 
@@ -127,7 +134,7 @@ def _trial(world: World, name: str, number: int) -> _Trial:
     change, slippery_at = None, math.inf
     twists = _twists(driver, rng, name, case, broken_at * dt)
     rows: list[list[Sequence[float]]] = []
-    poses, yaw_rates = [], []
+    poses, yaw_rates, upright = [], [], []
     for k in range(round((case.seconds if case else SECONDS) / dt) + 1):
         now = k * dt
         if k == broken_at:
@@ -159,9 +166,11 @@ def _trial(world: World, name: str, number: int) -> _Trial:
         )
         poses.append(base.true_pose())
         yaw_rates.append(base.true_twist().wz)
+        upright.append(base.uprightness() > _TIPPING)
         driver.command(twists[0] if now < twists[1] else twists[2], now)
         driver.tick(now, joints)
-    return _Trial(rows, poses, yaw_rates, broken_at, str(change))
+    end = max([*upright, False].index(False) - 1, broken_at + 1)
+    return _Trial(rows, poses, yaw_rates, broken_at, end, str(change))
 
 
 def _wheel_errors(rng: random.Random, robot: Robot) -> WheelErrors:
@@ -235,12 +244,12 @@ def evaluate(robot: Robot, recording: Recording, *, gyro: bool) -> Share:
     true = recording.true_twists()
     counts, tick_counts, squares = np.zeros(2), np.zeros(3), []
     for trial in range(trials):
-        first = int(recording.breaks[trial])
+        first, end = int(recording.breaks[trial]), int(recording.ends[trial])
         states = recording.joint_states(trial, None if measured is None else measured[trial])
         odometry = Odometry(_Replay(geometry, None, noise), robot.driver.top_speeds)
         estimates = _replayed(odometry, states, recording.commanded[trial], first)
-        healthy = fit.is_healthy[trial, first:]
-        errors = true[trial, first:] - np.array([e.twist for e in estimates])
+        healthy = fit.is_healthy[trial, first:end]
+        errors = true[trial, first:end] - np.array([e.twist for e in estimates])
         covariances = np.array([e.covariance for e in estimates])
         solved = np.linalg.solve(covariances, errors[:, :, np.newaxis])[:, :, 0]
         square = (errors * solved).sum(1)
@@ -308,7 +317,7 @@ def _oracle(
 def _is_outside(odometry: Odometry, recording: Recording, trial: int) -> bool:
     """Returns whether the pose at the end lies outside of its 99.9 % bound."""
     start = Pose2(*recording.poses[trial, recording.breaks[trial]].tolist())
-    end = Pose2(*recording.poses[trial, -1].tolist()).relative_to(start)
+    end = Pose2(*recording.poses[trial, recording.ends[trial]].tolist()).relative_to(start)
     error = logarithm(np.array(end.relative_to(odometry.pose)))
     return bool(error @ np.linalg.solve(np.array(odometry.covariance), error) > _BOUND)
 

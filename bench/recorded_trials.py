@@ -23,6 +23,7 @@ class Recording(NamedTuple):
     - ``poses`` (trials, n, 3): true pose of ``base_link``; the yaw is not wrapped.
     - ``yaw_rates`` (trials, n): true yaw rate, rad/s.
     - ``breaks`` (trials): tick of the break.
+    - ``ends`` (trials): last tick before the robot tips over, or the last tick.
     - ``changes`` (trials): text of the ``Break``.
     """
 
@@ -36,10 +37,11 @@ class Recording(NamedTuple):
     poses: Array
     yaw_rates: Array
     breaks: NDArray[np.int64]
+    ends: NDArray[np.int64]
     changes: NDArray[np.str_]
 
     def joint_states(self, trial: int, gyro: Array | None) -> list[JointStates]:
-        """Returns all joint states of a trial; ``gyro`` (n): measured yaw rates (rad/s)."""
+        """Returns the joint states of a trial; ``gyro`` (n): measured yaw rates (rad/s)."""
         return [
             JointStates(
                 time,
@@ -49,7 +51,7 @@ class Recording(NamedTuple):
                 self.positions[trial, k].tolist(),
                 None if gyro is None else float(gyro[k]),
             )
-            for k, time in enumerate(self.times.tolist())
+            for k, time in enumerate(self.times[: self.ends[trial] + 1].tolist())
         ]
 
     def true_twists(self) -> Array:
@@ -72,8 +74,9 @@ class Recording(NamedTuple):
 
 
 def logarithm(motions: Array) -> Array:
-    """Returns the twists (..., 3) that cause these relative poses within 1 s."""
+    """Returns the smallest twists (..., 3) that cause these relative poses within 1 s."""
     x, y, yaw = np.moveaxis(motions, -1, 0)
+    yaw = np.remainder(yaw + np.pi, 2.0 * np.pi) - np.pi
     half = yaw / 2.0
     k = np.where(np.abs(half) > 1e-6, half / np.tan(np.where(half, half, 1.0)), 1.0)
     return np.stack([k * x + half * y, k * y - half * x, yaw], axis=-1)

@@ -16,7 +16,7 @@ from bench.broken_world import evaluate, record
 from bench.figure import Figure, in_turns
 from bench.healthy_readings import healthy_fit
 from bench.machine_load import MachineLoad
-from bench.recorded_trials import Recording
+from bench.recorded_trials import Recording, logarithm
 from bench.world_breaks import Break, World
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
 
@@ -154,6 +154,26 @@ def test_an_error_that_no_reading_shows_is_hidden(
         world.robot, good_ground._replace(poses=poses, commanded=commanded), gyro=False
     )
     assert (share.trials, share.hidden) == shares
+
+
+def test_an_error_of_the_yaw_is_an_angle() -> None:
+    assert logarithm(np.array([0.1, 0.0, 2.0 * np.pi])) == pytest.approx([0.1, 0.0, 0.0])
+
+
+def test_a_trial_ends_when_the_robot_tips_over(world: World, good_ground: Recording) -> None:
+    """Its readings and its pose after that do not count."""
+    poses = good_ground.poses.copy()
+    poses[:, -1, 0] += 100.0
+    ended = good_ground._replace(poses=poses, ends=good_ground.ends - 1)
+    assert len(ended.joint_states(0, None)) == len(good_ground.times) - 1
+    assert evaluate(world.robot, ended, gyro=False).hidden == 0.0
+    whole = evaluate(world.robot, good_ground._replace(poses=poses), gyro=False)
+    assert whole.trials + whole.hidden == 100.0
+
+
+def test_a_robot_that_climbs_a_wall_tips_over() -> None:
+    recording = record(World(*world_robots.robot("3 steered")), "wall", 2)
+    assert recording.ends[1] < recording.poses.shape[1] - 1
 
 
 def test_wheels_that_spin_on_a_held_body_look_healthy(

@@ -195,3 +195,55 @@ def nees(e: Pose2, p: se2.Cov3) -> float:
                 f = a[j][i] / a[i][i]
                 a[j] = [u - f * v for u, v in zip(a[j], a[i], strict=True)]
     return sum(v * a[i][3] / a[i][i] for i, v in enumerate(e))
+
+
+def held(odometry: Odometry, twist: Twist, start: float, seconds: float) -> float:
+    """Drives with one wheel that stands while the others turn as commanded."""
+    for k in range(1, round(seconds / 0.02) + 1):
+        states = joints(odometry, twist, start + k * 0.02)
+        speeds = [*states.speeds[:3], 0.0]
+        stalled = JointStates(states.time, speeds, states.angles, states.angle_rates)
+        odometry.update(stalled, states.time)
+    return start + round(seconds / 0.02) * 0.02
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.3, 2.0])
+def test_the_error_of_an_undecided_time_is_the_same_in_all_of_its_ticks(seconds: float) -> None:
+    """However short it is: either the robot moved as its wheels say, or not at all."""
+    odometry = make_odometry()
+    now = driven(odometry, Twist(0.6, 0.0, 0.0), 0.0, 2.06)
+    before = odometry.pose.x
+    held(odometry, Twist(0.6, 0.0, 0.0), now, seconds)
+    sigma = math.sqrt(odometry.covariance[0][0])
+    assert (odometry.pose.x - before) / sigma < 3.0
+    assert sigma < 0.8 * 0.6 * seconds + 0.02
+
+
+def test_an_undecided_yaw_is_an_error_of_all_later_positions() -> None:
+    odometry = make_odometry()
+    now = driven(odometry, Twist(0.6, 0.0, 0.4), 0.0, 2.0)
+    now = held(odometry, Twist(0.6, 0.0, 0.4), now, 1.0)
+    yaw, across = (math.sqrt(odometry.covariance[i][i]) for i in (2, 1))
+    driven(odometry, Twist(0.6, 0.0, 0.0), now + 0.02, now + 10.0)
+    assert math.sqrt(odometry.covariance[1][1]) > across + 0.8 * yaw * 0.6 * 10.0
+
+
+def test_undecided_errors_do_not_cancel_when_the_robot_turns_around() -> None:
+    odometry = make_odometry()
+    now = held(odometry, Twist(0.6, 0.0, 0.0), driven(odometry, Twist(0.6, 0, 0), 0, 1), 2.0)
+    sigma = math.sqrt(odometry.covariance[0][0])
+    now = driven(odometry, Twist(0.0, 0.0, math.pi / 4), now + 0.02, now + 4.0)
+    held(odometry, Twist(0.6, 0.0, 0.0), now, 2.0)
+    assert math.sqrt(odometry.covariance[0][0]) > 1.2 * sigma
+
+
+@pytest.mark.parametrize(("pause", "growth"), [(2.0, 2.0), (12.0, math.sqrt(2.0))])
+def test_two_undecided_times_have_the_same_cause_if_they_are_close(
+    pause: float, growth: float
+) -> None:
+    odometry = make_odometry()
+    now = held(odometry, Twist(0.6, 0.0, 0.0), driven(odometry, Twist(0.6, 0, 0), 0, 1), 2.0)
+    sigma = math.sqrt(odometry.covariance[0][0])
+    now = driven(odometry, Twist(0.0, 0.0, 0.0), now + 0.02, now + pause)
+    held(odometry, Twist(0.6, 0.0, 0.0), now, 2.0)
+    assert math.sqrt(odometry.covariance[0][0]) == pytest.approx(growth * sigma, rel=0.05)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from itertools import combinations
-from typing import Final
+from typing import Final, NamedTuple
 
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates, NotFiniteError
@@ -17,11 +17,8 @@ LONGEST_INTERVAL: Final = 0.5
 """Longest interval (s) between two joint states over which the odometry integrates the motion."""
 LOW_RANK_CORRELATION: Final = 10.0
 """Correlation time (s) of the velocity errors in directions that no wheel measures."""
-UNDECIDED_CORRELATION: Final = 1000.0
-"""Correlation time (s) of the errors while the wheels do not tell which of them are wrong.
-
-The same hypothesis is right for as long as the cause lasts.
-"""
+_SAME_CAUSE: Final = 10.0
+"""Time (s) in which wheels that disagree again have the same cause."""
 _TIME_CONSTANT: Final = 2.0
 """Time constant (s) of the share of time in which a wheel is left out or doubted."""
 _WARNED_SHARE: Final = 0.5
@@ -59,6 +56,7 @@ class Odometry:
         self.covariance_at_joints = ZERO_COV
         self._time = -math.inf
         self._lasting_errors = LastingErrors(calculator.estimator)
+        self._undecided = _DECIDED
         self._wheel_warnings = WheelWarnings()
 
     @property
@@ -71,6 +69,7 @@ class Odometry:
         self.pose = pose
         self.covariance = self.covariance_at_joints = ZERO_COV
         self._lasting_errors.restart(pose)
+        self._undecided = _DECIDED
 
     def update(self, joints: JointStates, now: float) -> None:
         """Updates the pose with the joint states that were read at ``now`` (s, monotonic).
@@ -106,9 +105,14 @@ class Odometry:
             self.covariance_at_joints, estimate.twist, estimate.covariance, elapsed, correlation
         )
         pose = self.pose.moved(motion)
+        undecided = self._undecided
+        if estimate.dropped or estimate.suspects or estimate.sliding:
+            undecided, growth = undecided.after(pose, estimate.covariance, elapsed, joints.time)
+            covariance = se2.combine(covariance, growth)
         if pose != self.pose:
             self.motion_time += elapsed
         self.store(joints, now, estimate, pose, covariance)
+        self._undecided = undecided
 
     def mark_missing(self, now: float) -> None:
         """Increases the covariance of the pose because the joint states at ``now`` are missing."""
@@ -150,6 +154,43 @@ class Odometry:
         turn = (self.top_speeds[1] * time) ** 2
         (a, b, c), (_, d, e), (_, _, f) = self.covariance_at_joints
         return ((a + way, b, c), (b, d + way, e), (c, e, f + turn))
+
+
+class UndecidedErrors(NamedTuple):
+    """Growth of the covariance of a pose while wheels are left out or doubted.
+
+    The same cause is right for as long as it lasts, so that the errors of the ticks are the same in
+    the worst case.  Whatever their correlations are, the sum of errors with the covariances Q has
+    at most the covariance
+
+        T integral of Ad(pose) Q Ad(pose)' dt
+
+    where T is the time in which the wheels were undecided (inequality of Cauchy and Schwarz).
+    Another cause, ``_SAME_CAUSE`` later, has independent errors.
+
+    - ``time``: T (s).
+    - ``integral``: the integral above.
+    - ``end``: time (s) of the last joint states in T.
+    """
+
+    time: float
+    integral: Cov3
+    end: float
+
+    def after(self, pose: Pose2, q: Cov3, dt: float, end: float) -> tuple[UndecidedErrors, Cov3]:
+        """Returns the errors after ``dt`` s more, and the growth of the covariance of ``pose``.
+
+        ``q``: covariance of the twist in this time.
+        """
+        time, integral, _ = self if end - self.end < _SAME_CAUSE else _DECIDED
+        added = se2.seen_from(ORIGIN.relative_to(pose), q)
+        growth = se2.combine(ZERO_COV, integral, dt)
+        growth = se2.combine(growth, added, (time + dt) * dt)
+        undecided = UndecidedErrors(time + dt, se2.combine(integral, added, dt), end)
+        return undecided, se2.seen_from(pose, growth)
+
+
+_DECIDED: Final = UndecidedErrors(0.0, ZERO_COV, -math.inf)
 
 
 def mean_states(start: JointStates, end: JointStates, dt: float) -> CheckedJointStates:
@@ -325,6 +366,7 @@ class LastingErrors:
         self._areas: list[tuple[float, float]] = []  # A, as in _with_areas
         self._areas_end: list[Row3] = []  # S at the last change of A
         self._second_order = ZERO_COV  # E[q q']
+        self._twist_covariance = ZERO_COV  # Q
         self._cross: Cov3 = ZERO_COV  # D
         self._correlated = ZERO_COV  # R
 
@@ -358,7 +400,7 @@ class LastingErrors:
             # The first block starts, or the time of the joint states has decreased.
             self.start_time = joints.time
             return covariance
-        if pose != previous or estimate.suspects or estimate.sliding:
+        if pose != previous:
             try:
                 covariance = self._grown(covariance, joints, estimate, pose, elapsed)
             except (ZeroDivisionError, OverflowError):
@@ -383,8 +425,8 @@ class LastingErrors:
         errors = estimator.lasting_errors(joints, estimate, twist)
         # The odometry itself treats errors in directions that no wheel measures.
         tau = estimator.noise.correlation if estimate.rank == 3 else 0.0
-        if estimate.suspects or estimate.sliding:
-            tau = UNDECIDED_CORRELATION
+        if not (estimate.dropped or estimate.suspects or estimate.sliding):
+            self._twist_covariance = estimate.covariance
         if not errors and not tau:
             return covariance
         # Position in the middle of the block, relative to the start of the drive.
@@ -416,7 +458,7 @@ class LastingErrors:
         cross, correlated = self._cross, self._correlated
         if tau:
             adjoint = ((c, -s, y), (s, c, -x), (0.0, 0.0, elapsed))
-            cross, growth = _correlated(cross, adjoint, estimate.covariance, elapsed / tau)
+            cross, growth = _correlated(cross, adjoint, self._twist_covariance, elapsed / tau)
             correlated = se2.combine(correlated, growth)
             total = se2.combine(total, correlated)
         local = Pose2(pose.x - self._anchor.x, pose.y - self._anchor.y, pose.yaw)

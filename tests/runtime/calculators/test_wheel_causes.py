@@ -6,13 +6,18 @@ import math
 import random
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
 from tests.conformance.wheels import wheel
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise, WheelGeometry
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
-from thorvaldc.runtime.calculators.twist_estimator import EstimatorOptions, TwistEstimator
+from thorvaldc.runtime.calculators.twist_estimator import (
+    EstimatorOptions,
+    TwistEstimate,
+    TwistEstimator,
+)
 from thorvaldc.runtime.se2 import Cov3, Twist
 
 FOUR = [
@@ -60,6 +65,12 @@ def estimator(wheels: list[WheelGeometry], **options: float) -> TwistEstimator:
 
 def sigmas(covariance: Cov3) -> list[float]:
     return [math.sqrt(covariance[j][j]) for j in range(3)]
+
+
+def squared_error(estimate: TwistEstimate, true: Twist) -> float:
+    """Squared error in units of the covariance, 16.3 at its 99.9 % bound."""
+    error = np.array(true) - np.array(estimate.twist)
+    return float(error @ np.linalg.solve(np.array(estimate.covariance), error))
 
 
 @pytest.mark.parametrize("wrong", ["1.1", "1.3", "2", "0.7", "-1", "+20 deg", "both"])
@@ -162,6 +173,94 @@ def test_a_skidding_robot_may_turn_a_little_otherwise_than_its_wheels(share: flo
     estimate = estimator(SKID).estimate(readings, speeds)
     assert (estimate.dropped, estimate.suspects, estimate.sliding) == ((), (), ())
     assert estimate.twist.vx == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("yaw_rate", [0.13, -1.0])
+def test_a_gyro_is_tested_although_no_wheel_fails_its_test(yaw_rate: float) -> None:
+    """A robot with locked wheels is pushed: eight measurements of 0 against that of the gyro."""
+    readings = JointStates(0.0, [0.0] * 4, [0.0] * 4, [0.0] * 4, None, yaw_rate)
+    estimate = estimator(FOUR).estimate(readings, [0.0] * 4)
+    assert estimate.sliding == (0, 1, 2, 3)
+    assert squared_error(estimate, Twist(0.3, -0.3, yaw_rate)) < 16.3
+
+
+def test_a_small_contradiction_of_a_gyro_shows_a_slide_too() -> None:
+    """Two wheels spin as commanded on a body that is held."""
+    wheels = [wheel(f"w{i}", 0.0, y, "fixed") for i, y in enumerate((0.4, -0.4))]
+    speeds = [0.173 / 0.2, 0.206 / 0.2]
+    readings = JointStates(0.0, speeds, [0.0] * 2, [0.0] * 2, None, 0.0)
+    estimate = estimator(wheels).estimate(readings, speeds)
+    assert estimate.sliding == (0, 1)
+    assert squared_error(estimate, Twist(0.0, 0.0, 0.0)) < 16.3
+
+
+@pytest.mark.parametrize("wheels", [FOUR, SIX], ids=["4", "6"])
+@pytest.mark.parametrize("share", [0.95, 1.05])
+def test_all_wheels_but_one_may_have_a_wrong_radius(
+    wheels: list[WheelGeometry], share: float
+) -> None:
+    """The majority follows its commands and agrees, and is wrong by five standard deviations."""
+    for motion in (Twist(1.2, 0.0, 0.0), Twist(0.8, 0.3, 0.2)):
+        speeds = [share * v for v in joints(wheels, motion).speeds]
+        speeds[1] /= share
+        readings = JointStates(0.0, speeds, joints(wheels, motion).angles, [0.0] * len(wheels))
+        estimate = estimator(wheels).estimate(readings, speeds)
+        assert estimate.dropped or estimate.suspects
+        assert squared_error(estimate, motion) < 16.3
+
+
+def test_a_gyro_shows_that_all_radii_are_wrong() -> None:
+    motion = Twist(0.1, 0.1, -0.52)
+    states = joints(FOUR, motion)
+    speeds = [0.95 * v for v in states.speeds]
+    readings = JointStates(0.0, speeds, states.angles, states.angle_rates, None, motion.wz)
+    estimate = estimator(FOUR).estimate(readings, speeds)
+    assert set(estimate.suspects) == set(range(4))
+    assert squared_error(estimate, motion) < 16.3
+
+
+@pytest.mark.parametrize("share", [0.4, 0.8])
+def test_a_wheel_that_is_a_little_slower_does_not_show_how_far_the_robot_slides(
+    share: float,
+) -> None:
+    states = joints(SIX, Twist(0.5, 0.0, 0.4))
+    readings = with_fault(states, 5, str(share))
+    estimate = estimator(SIX).estimate(readings, states.speeds)
+    assert squared_error(estimate, Twist(0.0, 0.0, 0.0)) < 16.3
+
+
+def test_nothing_confirms_a_single_encoder() -> None:
+    """It may be stuck near its command, or the wheel is dragged although it should stand."""
+    places = [(0.6, 0.0, "steered"), (-0.6, 0.4, "passive"), (-0.6, -0.4, "passive")]
+    wheels = [wheel(f"w{i}", x, y, kind) for i, (x, y, kind) in enumerate(places)]
+    for reading, command in ((0.35, 0.45), (-0.2, 0.0)):
+        readings = JointStates(0.0, [reading / 0.2, 0.0, 0.0], [0.0] * 3, [0.0] * 3)
+        estimate = estimator(wheels).estimate(readings, [command / 0.2, 0.0, 0.0])
+        assert estimate.sliding == (0,)
+        assert squared_error(estimate, Twist(command, 0.0, 0.0)) < 16.3
+        assert estimate.twist.vx == pytest.approx(reading)
+
+
+def test_skidding_wheels_of_a_side_that_disagree_are_doubted() -> None:
+    """On the ground they turn equally fast.  The robot is pulled, and moves straight on."""
+    speeds = [0.85 / 0.2, 1.42 / 0.2, 0.85 / 0.2, 1.42 / 0.2]
+    slower = [*speeds[:3], 1.3 / 0.2]
+    readings = JointStates(0.0, slower, [0.0] * 4, [0.0] * 4)
+    estimate = estimator(SKID).estimate(readings, speeds)
+    assert (estimate.suspects, estimate.sliding) == ((3,), (0, 1, 2))
+    assert squared_error(estimate, Twist(0.85, 0.0, 0.0)) < 16.3
+
+
+def test_the_errors_of_skidding_wheels_have_a_common_part() -> None:
+    """A robot on ice turns 10 % faster than its wheels, and one that is pulled drifts."""
+    speeds = General(BaseGeometry.from_wheels(SKID)).command(Twist(0.0, 0.0, 0.5)).joints.speeds
+    estimate = estimator(SKID).estimate(
+        JointStates(0.0, speeds, [0.0] * 4, [0.0] * 4), list(speeds)
+    )
+    turn = estimate.twist.wz
+    assert squared_error(estimate, Twist(0.08, 0.05, 1.1 * turn)) < 16.3
+    straight = JointStates(0.0, [3.0] * 4, [0.0] * 4, [0.0] * 4)
+    assert sigmas(estimator(SKID).estimate(straight).covariance)[1] < 0.05
 
 
 def test_wheels_that_a_push_turns_outvote_one_that_stands() -> None:

@@ -38,6 +38,7 @@ from thorvaldc.runtime.calculators.twist_fit import (
     SIDE_ONLY,
     TEST_ROLL,
     TEST_SIDE,
+    UNTESTABLE,
     USE_ROLL,
     USE_SIDE,
     Fit,
@@ -55,6 +56,12 @@ from thorvaldc.runtime.se2 import Cov3, Row3, Twist
 __all__ = ["EstimatorOptions", "Noise", "TwistEstimate", "TwistEstimator"]
 
 _UNBOUNDED: Final = "the joint states are out of all bounds"
+_SKID_TURN: Final = 0.07
+"""Standard deviation of the yaw rate by wheels that skid, relative to it, common to all wheels.
+
+In MuJoCo, 99.9 % of the yaw rates of robots with four and six skidding wheels are 0.92 to 1.15 of
+that of the wheels.
+"""
 RANK_TOLERANCE: Final = 1e-8
 """The normal matrix has rank 3 if its scaled determinant is at least this large.
 
@@ -241,28 +248,31 @@ class TwistEstimator:
             fit = fit_twist(measurements, fit.vx, fit.vy, fit.wz, noise, prior, yaw_rate)
         tests = chi_squares(fit)
         if self.options.faulty:
-            disagree = any(map(operator.gt, tests, self.gates)) or (
-                self._skids
-                and yaw_rate is not None
-                and self._turns_otherwise(measurements, fit, yaw_rate)
-            )
+            slip = 0.0 if yaw_rate is None else self._gyro_slip(fit, yaw_rate)
+            disagree = slip > 0.0 or any(map(operator.gt, tests, self.gates))
             if disagree or self.may_deviate(states.speeds, commanded):
                 return self._mixture(
-                    measurements, fit, tests, prior, states, rank, commanded, disagree
+                    measurements, fit, tests, prior, states, rank, commanded, disagree, slip
                 )
-        return self._result(fit, tests, rank)
+        return self._result(fit, tests, rank, yaw_rate)
 
-    def _turns_otherwise(self, measurements: list[Measurement], fit: Fit, yaw_rate: float) -> bool:
-        """Returns whether a gyro contradicts wheels that skid, which no test of a wheel shows.
+    def _gyro_slip(self, fit: Fit, yaw_rate: float) -> float:
+        """Returns the speed (m/s) at the wheels by which a gyro contradicts them, or 0.
 
-        ``fit``: fitted twist with the gyro.
+        No test of a wheel may show it.  The residual r of the gyro in a fit that gives it the
+        influence h on its own estimate is r / (1 - h) without it, with the variance
+        gyro^2 / (1 - h).
         """
-        alone = fit_twist(measurements, fit.vx, fit.vy, fit.wz, self.squares, self.prior, None)
-        length = math.sqrt(self.length2)
-        contradiction = wheel_causes.gyro_contradiction(
-            yaw_rate, alone.wz, length, self.squares[5], skids=True
-        )
-        return contradiction > 0.0
+        ratio2, _, _, _, _, gyro2 = self.squares
+        others = 1.0 - fit.p33 / gyro2
+        if others <= UNTESTABLE:
+            return 0.0
+        residual, variance = (yaw_rate - fit.wz) / others, gyro2 / others
+        if self._skids:  # the skid has its own error instead of those in the fit
+            turn = _SKID_TURN * (yaw_rate - residual)
+            variance = gyro2 + turn * turn + ratio2 * (fit.vx**2 + fit.vy**2) / self.length2
+        contradicts = residual * residual > self._price * variance
+        return abs(residual) * math.sqrt(self.length2) if contradicts else 0.0
 
     def may_deviate(self, speeds: Sequence[float], commanded: Sequence[float] | None) -> bool:
         """Returns whether a wheel may deviate from its command (rad/s).
@@ -501,6 +511,7 @@ class TwistEstimator:
         rank: int,
         commanded: Sequence[float] | None,
         disagree: bool,
+        gyro_slip: float,
     ) -> TwistEstimate:
         """Returns the mixture of the hypotheses that explain the readings.
 
@@ -514,40 +525,31 @@ class TwistEstimator:
                 turning.append((w.radius * states.speeds[i], w.radius * commanded[i]))
         against = wheel_causes.contradiction(fit, measurements, turning)
         if not (disagree or against.doubtful):
-            return self._result(fit, tests, rank)
+            return self._result(fit, tests, rank, yaw_rate)
         fits = wheel_causes.Fits(
             self._solve, self.squares, prior, self.prior, yaw_rate, 1 + self.options.polish
         )
         search = wheel_causes.CauseSearch(
-            self.gates, self._price, self.options.faulty, self.length2, against, fits
+            self.gates, self._price, self.options.faulty, self.length2, against, fits, gyro_slip
         )
         hypotheses = search.likely_hypotheses(measurements, fit, disagree)
         if not hypotheses:
-            rows = sum((m[0] & USE_ROLL > 0) + (m[0] & USE_SIDE > 0) for m in measurements)
-            freedom = rows + (yaw_rate is not None) - rank
-            # The reduced chi-square is the factor by which the measured variance exceeds the
-            # assumed variance.
-            growth = max(1.0, fits.misfit(fit) / max(freedom, 1))
-            fits_of_all = [
-                wheel_mixture.with_covariance(fit, growth),
-                search.all_encoders_wrong(measurements),
-                search.sliding(measurements, fit, certain=True).fit,
-            ]
-            covered = wheel_mixture.covering(fit, [1.0, 1.0, 0.25], fits_of_all)
+            covered = search.unexplained(measurements, fit)
             failed = [k for k, d in enumerate(tests) if d > self.gates[k]]
-            return self._result(covered, tests, rank, (), failed)
+            return self._result(covered, tests, rank, yaw_rate, (), failed)
         mean, left_out, suspects, sliding = wheel_mixture.mixture(
             hypotheses, as_measured=not disagree
         )
-        if not hypotheses[0].sliding:
+        if hypotheses[0].wrong:
             tests = chi_squares(hypotheses[0].fit)
-        return self._result(mean, tests, rank, left_out, suspects, sliding)
+        return self._result(mean, tests, rank, yaw_rate, left_out, suspects, sliding)
 
     def _result(
         self,
         fit: Fit,
         tests: Sequence[float],
         rank: int,
+        yaw_rate: float | None,
         dropped: Sequence[int] = (),
         suspects: Sequence[int] = (),
         sliding: Sequence[int] = (),
@@ -560,6 +562,11 @@ class TwistEstimator:
         ``base_link`` by xi' = A xi and P' = A P A', with A = [1 0 ym; 0 1 -xm; 0 0 1].
         """
         vx, vy, wz, p11, p12, p13, p22, p23, p33, _ = fit
+        if self._skids:
+            by_wheels = 1.0 if yaw_rate is None else max(1.0 - p33 / self.squares[5], 0.0)
+            p33 += (_SKID_TURN * by_wheels * wz) ** 2
+            slip = 4.0 * self.squares[4] * self.length2 * wz * wz
+            p11, p22 = p11 + slip, p22 + slip
         xm, ym = self._centre
         if xm or ym:
             vx, vy = vx + ym * wz, vy - xm * wz

@@ -346,6 +346,12 @@ def add_rolling_speed(fit: Fit, wheel: int, speed: float, variance: float) -> Fi
     )
 
 
+def rolling_speed(fit: Fit, wheel: int) -> float:
+    """Returns the fitted rolling speed (m/s) of a wheel's contact."""
+    _, c, s, x, y = fit.measurements[wheel][:5]
+    return c * (fit.vx - y * fit.wz) + s * (fit.vy + x * fit.wz)
+
+
 def rolling_leverage(fit: Fit, wheel: int) -> float:
     """Returns the influence L P L' / sigma_L^2 of a measured rolling speed on its own estimate.
 

@@ -9,6 +9,7 @@ healthy           rolls, lags, is pushed, stalls             reading z
 wrong encoder     dead, reversed, stuck, wrong scale         command c
 sliding           ice, mud, held by a wall, pulled           anything up to the speed of the wheels
 wrong wheel       wrong steering angle, slips alone          what agrees with the other wheels
+wrong radius      worn, without air                          reading z, a little wrong
 ================  =========================================  =======================================
 
 A hypothesis gives each wheel a cause, and has its own fit of the twist.  Up to a constant, its cost
@@ -24,20 +25,25 @@ N are the wheels that contradict their commands: |z - c| exceeds the error e(c) 
     ``q`` is the chi-square that a healthy wheel exceeds with the permitted rate of false alarms.
 3.  The encoders of N are wrong, the robot moves as the other wheels say, and N follow their
     commands.  Price ``_ONE_ENCODER`` for one wheel, if no load explains its deviation, and
-    ``_ENCODERS`` for more, which then share a cause, such as a cable.  Encoders that read different
-    shares of their commands share no cause: ``_OTHER_CAUSE`` for each further share.  If the other
+    ``_ENCODERS`` for more; ``_PUSHED`` more for each further wheel that should stand.  If the other
     wheels disagree, one more is wrong.  Most wheels may deviate by a load or a delay instead.
 4.  The readings are right, and the wheels slide: the robot is held or pulled.  Price ``_SLIDING``.
-    Its twist is the fit of all wheels with the standard deviation |1 - z / c| v / 2 of the wheel
-    that deviates most, where v is the speed of the fastest wheel.  A held robot and one that moves
-    as commanded then lie within two standard deviations.  A reading above ``_IMPOSSIBLE`` times the
-    top speed is wrong here too.
+    Its twist is the fit of all wheels with a standard deviation that follows from the wheel that
+    deviates most, by d = |1 - z / c|: d v / 2 if all wheels deviate, where v is the speed of the
+    fastest wheel, and sqrt(d) v / 2 if the wheels disagree.  A held robot and one that moves as
+    commanded then lie within two standard deviations if a wheel stands, and within four if one is
+    slower by a quarter: the ground says more than that wheel.  A reading above ``_IMPOSSIBLE``
+    times the top speed is wrong here too.
+5.  The radii are wrong.  Price ``_RADII``.  Its twist is the fit of all wheels, with the errors of
+    rolling speeds that the misfit shows, and with a common error of all speeds as large as the
+    largest that a wheel or a gyro shows: most wheels may be wrong by the same share.
 
 A motor that turns as commanded says nothing about the ground.  If three wheels of four turn as
 commanded and one stands, its encoder is dead (3), or the robot stands and three wheels spin (4).
 Neither the vote of the three wheels nor their commands decide.  A gyro decides if the hypotheses
-differ in the yaw rate; it contradicts wheels that skid only if a skid does not explain the
-difference.  Wheels that contradict their commands and agree with each other decide too:
+differ in the yaw rate.  If it contradicts wheels that follow their commands, hypothesis 4 remains
+likely at any cost, because a wrong wheel explains by accident that few wheels and a gyro disagree.
+Wheels that contradict their commands and agree with each other decide too:
 a push turns all of them at once, but several stuck encoders agree by accident only.  Without
 commands, N are the wheels that stand while others turn.
 
@@ -49,10 +55,12 @@ most 1 / w, below the 99.9 % quantile 16.3 of the chi-square distribution with 3
 Wheels that agree may still contradict their commands: all of them, or wheels that no other wheel
 confirms.  Hypotheses 3 and 4 are then added to the covariance, unless a load or a delay may explain
 the deviation: all wheels read nearly the same share of their commands, between 1 - ``_DOUBTFUL``
-and 1 + ``_DOUBTFUL``; wheels that no other wheel confirms must read more nearly the same.  A push
-is no contradiction if all wheels turn, or if the wheels that stand would fail a test.
+and 1 + ``_DOUBTFUL``; wheels that no other wheel confirms, or that skid, must read more nearly the
+same.  Nothing confirms a single wheel.  A push is no contradiction if all wheels turn, or if the
+wheels that stand would fail a test.
 
-Wheels do not see that all of them spin as commanded on a robot that is held, nor a wrong radius.
+Wheels do not see that all of them spin as commanded on a robot that is held, nor that all radii are
+wrong by the same share, nor an error that stays below the gates.
 """
 
 from __future__ import annotations
@@ -75,9 +83,10 @@ from thorvaldc.runtime.calculators.twist_fit import (
     fit_twist,
     misfit,
     rolling_leverage,
+    rolling_speed,
     unweighted_normal_equations,
 )
-from thorvaldc.runtime.calculators.wheel_mixture import Hypothesis
+from thorvaldc.runtime.calculators.wheel_mixture import Hypothesis, covering, with_covariance
 from thorvaldc.runtime.se2 import Row3
 
 _FOLLOWING: Final = 0.03
@@ -95,10 +104,8 @@ _COMMON_LAG: Final = 0.1
 """Largest difference of the shares of their commands that wheels with a common lag reach."""
 _COMMON_LAG_UNCONFIRMED: Final = 0.03
 """The same for wheels whose speeds no other wheel confirms: the error goes unseen."""
-_EQUAL_SHARES: Final = 0.1
-"""Largest difference between the shares of their commands that encoders with one cause read."""
-_EQUAL_READINGS: Final = 0.005
-"""Largest difference (m/s) between the readings of encoders with one cause."""
+_OVERSHOOT: Final = 0.1
+"""Share of its command by which a motor exceeds it, or turns backwards."""
 _STANDING: Final = 0.005
 """Speed (m/s) below which a wheel stands."""
 _UNCONFIRMED: Final = 0.75
@@ -110,25 +117,25 @@ It is added to half of the wheels' speed.
 """
 _SLIDING_SHARE: Final = 0.6
 """Standard deviation of the speed of a robot that slides for certain, relative to its wheels."""
+_PULLED: Final = 0.3
+"""Least standard deviation (m/s) of that speed: a pull may be faster than the wheels."""
 _IMPOSSIBLE: Final = 2.0
 """Multiple of the top speed above which a reading is wrong: sliding does not explain it."""
-_SKID_TURN: Final = 0.25
-"""Largest deviation of the yaw rate from that of skidding wheels on good ground, relative to it.
-
-In MuJoCo, 99.9 % of the yaw rates of robots with four and six skidding wheels are 0.92 to 1.15 of
-that of the wheels.
-"""
 _HELD_YAW_RATE: Final = 0.02
 """Standard deviation (rad/s) of the yaw rate of a robot that is held."""
 
 _ONE_ENCODER: Final = 5.0
 """Price of one wrong encoder, the most frequent of the causes here."""
 _ENCODERS: Final = 10.0
-"""Price of wrong encoders with one cause, and of one whose deviation a load may explain."""
-_OTHER_CAUSE: Final = 5.0
-"""Price of each further cause of wrong encoders, and of each further wheel that a push explains."""
+"""Price of several wrong encoders, and of one whose deviation a load may explain."""
+_PUSHED: Final = 5.0
+"""Price of each further wheel that turns although it should stand."""
 _SLIDING: Final = 9.0
 """Price of wheels that slide: as likely as encoders that are wrong together."""
+_RADII: Final = 16.0
+"""Price of wrong radii."""
+_RADIUS_ERROR: Final = 0.1
+"""Largest error of a radius, relative to it: that of a tyre without air."""
 _AGAINST_MOTOR: Final = 5.0
 """Further price of wheels that the ground turns backwards or faster than their motors should."""
 _CREDIBLE: Final = 6.63
@@ -149,22 +156,6 @@ _PAIR_SEEDS: Final = 3
 def following_error(speed: float) -> float:
     """Returns the largest error (m/s) of a wheel that follows its commanded speed (m/s)."""
     return FOLLOWING_FLOOR + _FOLLOWING * abs(speed)
-
-
-def gyro_contradiction(
-    yaw_rate: float, wz: float, length: float, gyro2: float, *, skids: bool = False
-) -> float:
-    """Returns the speed (m/s) at the wheels by which a gyro contradicts them, or 0 if it does not.
-
-    - ``yaw_rate``, ``gyro2``: yaw rate (rad/s) that the gyro measures, and its variance.
-    - ``wz``: yaw rate (rad/s) of the wheels, ``length`` (m) away.
-    - ``skids``: ``True`` if a skid may explain a difference.
-    """
-    difference = length * abs(yaw_rate - wz)
-    share = _SKID_TURN if skids else _FOLLOWING
-    noise = 3.0 * math.sqrt(gyro2)
-    allowed = FOLLOWING_FLOOR + length * (share * abs(wz) + noise)
-    return difference if difference > allowed else 0.0
 
 
 class Fits(NamedTuple):
@@ -227,9 +218,8 @@ class Fits(NamedTuple):
             fit = add_rolling_speed(fit, k, speeds[k], following_error(speeds[k]) ** 2)
         disagreement = self.misfit(fit)
         for k in wheels:
-            _, c, s, x, y = fit.measurements[k][:5]
-            rolls = c * (fit.vx - y * fit.wz) + s * (fit.vy + x * fit.wz)
-            disagreement += ((speeds[k] - rolls) / following_error(speeds[k])) ** 2
+            error = (speeds[k] - rolling_speed(fit, k)) / following_error(speeds[k])
+            disagreement += error * error
         return fit, disagreement
 
     def misfit(self, fit: Fit) -> float:
@@ -249,14 +239,12 @@ class Contradiction(NamedTuple):
     - ``wheels``: indices of the measurements of these wheels, N.
     - ``commands``: commanded rolling speed (m/s) of the contact of each measured wheel, or empty if
       the commands are unknown.
-    - ``causes``: least number of causes that the encoders of N have, if they are wrong.
     - ``pushed``: number of wheels that turn, as others confirm, although they should stand.
     - ``doubtful``: ``True`` if no load, delay or push explains the deviations.
     """
 
     wheels: tuple[int, ...]
     commands: Sequence[float]
-    causes: int
     pushed: int
     doubtful: bool
 
@@ -272,13 +260,11 @@ def contradiction(
     """
     if not turning:
         standing = [k for k in encoders(measurements) if abs(measurements[k][5]) < _STANDING]
-        return Contradiction(tuple(standing), (), 1, 0, False)
+        return Contradiction(tuple(standing), (), 0, False)
     wheels: list[int] = []
-    shares: list[float] = []
-    readings: list[float] = []
     pushed, doubtful, highest, lowest = 0, False, -math.inf, math.inf
     common = _COMMON_LAG
-    untested = False
+    untested = stops = False
     every = encoders(measurements)
     for k in every:
         measured, command = turning[k]
@@ -289,30 +275,25 @@ def contradiction(
             continue
         wheels.append(k)
         confirmed = rolling_leverage(fit, k) <= _UNCONFIRMED
+        if not (confirmed and measurements[k][0] & TEST_ROLL):
+            untested, common = True, _COMMON_LAG_UNCONFIRMED
+            rolls = rolling_speed(fit, k)
+            doubtful = doubtful or abs(measured - rolls) > following_error(rolls)
         if abs(command) <= _COMMANDED_SPEED:
             pushed += confirmed
-            untested = untested or not (confirmed and measurements[k][0] & TEST_ROLL)
+            stops = True
             continue
         doubtful = doubtful or abs(share - 1.0) > _DOUBTFUL
-        if confirmed:
-            _add_distinct(shares, share, _EQUAL_SHARES)
-            _add_distinct(readings, measured, _EQUAL_READINGS)
-        else:
-            common = _COMMON_LAG_UNCONFIRMED
     commands = [
         # The contact of a wheel beside its steering axis also moves with the steering joint.
         m[5] + command - measured
         for m, (measured, command) in zip(measurements, turning, strict=True)
     ]
-    causes = max(pushed + min(len(shares), len(readings)), 1)
-    # A push turns all wheels.
-    doubtful = doubtful or highest - lowest > common or (untested and len(wheels) < len(every))
-    return Contradiction(tuple(wheels), commands, causes, pushed, doubtful)
-
-
-def _add_distinct(values: list[float], value: float, tolerance: float) -> None:
-    if all(abs(value - other) > tolerance for other in values):
-        values.append(value)
+    doubtful = doubtful or highest - lowest > common
+    # A push turns all wheels.  Nothing confirms a single one.
+    if untested and (len(every) == 1 or (stops and len(wheels) < len(every))):
+        doubtful = True
+    return Contradiction(tuple(wheels), commands, pushed, doubtful)
 
 
 class CauseSearch:
@@ -324,6 +305,7 @@ class CauseSearch:
     - ``length2``: square of the length (m) that relates yaw rates to speeds.
     - ``against``: wheels that contradict their commands.
     - ``fits``: fits of the twist for given causes.
+    - ``gyro_slip``: speed (m/s) at the wheels by which a gyro contradicts the readings, or 0.
     """
 
     def __init__(
@@ -334,6 +316,7 @@ class CauseSearch:
         length2: float,
         against: Contradiction,
         fits: Fits,
+        gyro_slip: float,
     ) -> None:
         self._gates = gates
         self._price = price
@@ -341,6 +324,7 @@ class CauseSearch:
         self._length2 = length2
         self._against = against
         self._fits = fits
+        self._gyro_slip = gyro_slip
 
     def likely_hypotheses(
         self, measurements: list[Measurement], fit: Fit, disagree: bool
@@ -355,12 +339,14 @@ class CauseSearch:
         healthy = self._wrong_wheels((), measurements, fit)
         encoders_wrong = self._wrong_encoders(measurements)
         hypotheses = [healthy, *encoders_wrong]
-        turns_otherwise = self._gyro_slip(measurements) > 0.0
         impossible = self._impossible(measurements)
-        may_slide = turns_otherwise or any(k not in impossible for k in self._against.wheels)
+        may_slide = self._gyro_slip > 0.0 or any(k not in impossible for k in self._against.wheels)
         if not disagree:
             # The agreement of wheels that contradict their commands proves nothing.
-            return [*hypotheses, self.sliding(measurements, fit)] if may_slide else hypotheses
+            if may_slide:
+                hypotheses.append(self._sliding(measurements, fit, disagree=False))
+            return hypotheses
+        hypotheses += self._wrong_radii(measurements, fit)
         known = [{*h.wrong} for h in encoders_wrong]
         singles = self._one_more_wrong(healthy, known)
         singles.sort(key=_cost)
@@ -371,8 +357,8 @@ class CauseSearch:
                 visited = [s.wrong[0] for s in singles[:rank]]
                 hypotheses += self._one_more_wrong(single, known, visited)
         if may_slide:
-            sliding = self.sliding(measurements, fit)
-            if turns_otherwise:
+            sliding = self._sliding(measurements, fit)
+            if self._gyro_slip and not self._against.wheels:
                 # Wrong wheels explain by accident that few wheels and a gyro disagree.
                 most = min(h.cost for h in hypotheses) + _NEGLIGIBLE
                 sliding = sliding._replace(cost=min(sliding.cost, most))
@@ -405,7 +391,7 @@ class CauseSearch:
                 return []
         alone = len(wheels) == 1 and self._against.doubtful
         price = _ONE_ENCODER if alone else _ENCODERS
-        price += _OTHER_CAUSE * (self._against.causes - 1)
+        price += _PUSHED * max(self._against.pushed - 1, 0)
         hypotheses = [self._encoders_wrong(wheels, measurements, price)]
         if hypotheses[0].worst_ratio > 1.0:
             price += self._price
@@ -426,8 +412,13 @@ class CauseSearch:
 
     # -- hypothesis 4 -------------------------------------------------------------------
 
-    def sliding(
-        self, measurements: list[Measurement], fit: Fit, *, certain: bool = False
+    def _sliding(
+        self,
+        measurements: list[Measurement],
+        fit: Fit,
+        *,
+        disagree: bool = True,
+        certain: bool = False,
     ) -> Hypothesis:
         """Returns the hypothesis that the wheels slide.
 
@@ -436,6 +427,7 @@ class CauseSearch:
         """
         every, wheels = encoders(measurements), self._against.wheels
         commands = self._against.commands
+        disagree = disagree or len(wheels) < len(every)
         if impossible := self._impossible(measurements):
             fit = self._fits.with_speeds(measurements, impossible, commands)[0]
             every = tuple(k for k in every if k not in impossible)
@@ -449,16 +441,18 @@ class CauseSearch:
                 sigma = max(sigma, abs(measured - command) / 2.0 + _DRAGGED)
                 continue
             share = measured / command
-            slip = min(abs(1.0 - share), 2.0) * fastest / 2.0
+            deviation = min(abs(1.0 - share), 2.0)
+            if disagree:
+                deviation = max(deviation, math.sqrt(deviation))
+            slip = deviation * fastest / 2.0
             if slip > sigma:
                 sigma = slip
-                against_motor = not -_EQUAL_SHARES < share < 1.0 + _EQUAL_SHARES
-        turning = self._gyro_slip(measurements)
+                against_motor = not -_OVERSHOOT < share < 1.0 + _OVERSHOOT
         share = 1.0
-        if certain or turning:
-            sigma = max(sigma, _SLIDING_SHARE * fastest, 2.0 * turning)
+        if certain or self._gyro_slip:
+            sigma = max(sigma, _SLIDING_SHARE * fastest, 2.0 * self._gyro_slip, _PULLED)
             share = 0.5
-        cost = _SLIDING + _OTHER_CAUSE * max(self._against.pushed - 1, 0)
+        cost = _SLIDING + _PUSHED * max(self._against.pushed - 1, 0)
         cost += _AGAINST_MOTOR * against_motor
         variance = sigma * sigma
         wz, angular, gyro_misfit = self._with_gyro(share * fit.wz, variance / self._length2)
@@ -473,22 +467,6 @@ class CauseSearch:
         limit = _IMPOSSIBLE / math.sqrt(self._fits.weak_prior[0])
         return [k for k in encoders(measurements) if abs(measurements[k][5]) > limit]
 
-    def all_encoders_wrong(self, measurements: list[Measurement]) -> Fit:
-        """Fits where all encoders are wrong, and all wheels follow their commands."""
-        every = encoders(measurements)
-        return self._fits.with_speeds(measurements, every, self._against.commands)[0]
-
-    def _gyro_slip(self, measurements: list[Measurement]) -> float:
-        """Returns the speed (m/s) at the wheels by which a gyro contradicts the commands, or 0."""
-        yaw_rate = self._fits.yaw_rate
-        if yaw_rate is None or not self._against.commands:
-            return 0.0
-        without_gyro = self._fits._replace(yaw_rate=None)
-        every, commands = encoders(measurements), self._against.commands
-        wz = without_gyro.with_speeds(measurements, every, commands)[0].wz
-        # The wheels disagree already, so that a skid is no explanation.
-        return gyro_contradiction(yaw_rate, wz, math.sqrt(self._length2), self._fits.squares[5])
-
     def _with_gyro(self, wz: float, variance: float) -> tuple[float, float, float]:
         """Returns a yaw rate and its variance after a measurement by the gyro, and the misfit.
 
@@ -502,6 +480,46 @@ class CauseSearch:
         stands = yaw_rate * yaw_rate / (noise + _HELD_YAW_RATE**2)
         wz += variance / total * (yaw_rate - wz)
         return wz, variance * noise / total, min(slides, stands)
+
+    # -- hypothesis 5, and readings that no hypothesis explains ---------------------------
+
+    def _wrong_radii(self, measurements: list[Measurement], fit: Fit) -> list[Hypothesis]:
+        """Returns the hypothesis that the radii are wrong, if their errors are possible."""
+        vx, vy, wz = fit[:3]
+        every, yaw_rate = encoders(measurements), self._fits.yaw_rate
+        fastest = largest = rolling = 0.0
+        for k in every:
+            _, c, s, _, _, mx, my, v_l, _ = fit.measurements[k]
+            rolls = rolling_speed(fit, k)
+            residual = abs(c * mx + s * my - rolls)
+            fastest, largest = max(fastest, abs(rolls)), max(largest, residual)
+            rolling += residual * residual / v_l
+        error = largest / fastest if fastest else math.inf
+        if self._gyro_slip and yaw_rate is not None:
+            error = max(error, abs(yaw_rate - wz) / max(abs(wz), 1e-9))
+        if error > _RADIUS_ERROR:
+            return []
+        scale = 1.0 + error
+        scaled = Fit(scale * vx, scale * vy, scale * wz, *(0.0,) * 6, fit.measurements)
+        wrong = covering(fit, [1.0, 1.0], [self._with_misfit(fit), scaled])
+        cost = _RADII + misfit(fit) - rolling
+        return [Hypothesis((), (), wrong, cost, 0.0, _LEAST_WEIGHT, fit, measurements, every)]
+
+    def unexplained(self, measurements: list[Measurement], fit: Fit) -> Fit:
+        """Returns ``fit`` with a covariance for readings that no hypothesis explains."""
+        every = encoders(measurements)
+        fits = [
+            self._with_misfit(fit),
+            self._fits.with_speeds(measurements, every, self._against.commands)[0],
+            self._sliding(measurements, fit, certain=True).fit,
+        ]
+        return covering(fit, [1.0, 1.0, _LEAST_WEIGHT], fits)
+
+    def _with_misfit(self, fit: Fit) -> Fit:
+        """Returns ``fit`` with the errors of rolling speeds that its misfit shows."""
+        freedom = sum(1 for m in fit.measurements if m[0] & USE_ROLL) - 1
+        growth = max(1.0, self._fits.misfit(fit) / max(freedom, 1))
+        return with_covariance(fit, growth)
 
     # -- hypotheses 1 and 2 -------------------------------------------------------------
 

@@ -30,6 +30,8 @@ class Hypothesis(NamedTuple):
     - ``least_weight``: least weight in the covariance.
     - ``others``: fit without all measurements of the wrong wheels.
     - ``measurements``: all measurements with the uses that the fit makes of them.
+    - ``doubted``: indices of the measurements of wheels that may be a little wrong, all of which
+      the fit uses.
     """
 
     wrong: tuple[int, ...]
@@ -40,6 +42,7 @@ class Hypothesis(NamedTuple):
     least_weight: float
     others: Fit
     measurements: list[Measurement]
+    doubted: tuple[int, ...] = ()
 
 
 class Mixture(NamedTuple):
@@ -84,7 +87,7 @@ def mixture(hypotheses: Sequence[Hypothesis], *, as_measured: bool) -> Mixture:
     needed = _SURE if sliding or len(best.wrong) > 1 else _MIN_PROBABILITY
     if best.wrong and probabilities[0] > needed:
         return Mixture(mean, best.wrong, (), ())
-    suspects = tuple({k for h in hypotheses for k in h.wrong})
+    suspects = tuple({k for h in hypotheses for k in (*h.wrong, *h.doubted)})
     return Mixture(mean, (), suspects, tuple(sliding))
 
 
