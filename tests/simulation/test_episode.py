@@ -12,8 +12,7 @@ import pytest
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import DiagnosticError, Report
-from thorvaldc.model import Fleet, Pose, Robot
-from thorvaldc.model.fleet import Placement
+from thorvaldc.model import Block, Box, Fleet, Ground, Placement, Pose, Robot, World
 from thorvaldc.model.scenario import Scenario
 from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.runtime.driver import BaseDriver
@@ -124,6 +123,18 @@ def test_commands_by_robot() -> None:
 
 def test_a_fleet_that_a_program_places_has_name_spaces() -> None:
     assert [p.robot.namespace for p in fleet("a", "b").placements] == ["a", "b"]
+    with pytest.raises(DiagnosticError, match="two robots of two have the name `a`"):
+        Episode(fleet("a", "a"))
+
+
+def test_a_world_of_a_program_is_that_of_the_scene() -> None:
+    wall = Block("obstacle", "wall", Box((0.2, 4.0, 1.0)), Pose((3.0, 0.0, 0.5)))
+    episode = Episode(replace(fleet("cart"), world=World(Ground(), (wall,))))
+    episode.reset()
+    sample = episode.run(6.0, lambda _: (0.6, 0.0, 0.0))
+    assert episode.collisions is not None
+    assert episode.collisions.collisions["cart"] > 0
+    assert 1.0 < sample.pose_true.x < 2.9
 
 
 def test_an_episode_must_be_started() -> None:

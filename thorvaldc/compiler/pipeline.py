@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import os
 import posixpath
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -244,6 +245,7 @@ def emit_without_model(
     from thorvaldc import backends
     from thorvaldc.model import robots_by_name
 
+    _check_names(model)
     files: dict[str, bytes] = {}
     for backend in [backends.load(target) for target in dict.fromkeys(targets)]:
         if report is not None:
@@ -252,6 +254,19 @@ def emit_without_model(
                     report.put(diagnostic)
         files.update(backend.emit(model) if isinstance(model, Robot) else backend.emit_fleet(model))
     return files
+
+
+def _check_names(model: Robot | Fleet) -> None:
+    """Raises ``DiagnosticError`` if two robots of a fleet that a program made have one name."""
+    if isinstance(model, Robot):
+        return
+    names = Counter(placement.name for placement in model.placements)
+    for name, number in names.items():
+        if number > 1:
+            from thorvaldc.diagnostics import DiagnosticError
+
+            message = f"two robots of {model.name} have the name `{name}`"
+            raise DiagnosticError("fleet-name-twice", message, hint="rename one of them")
 
 
 def _check_types(model: object, targets: object) -> None:
