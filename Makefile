@@ -148,7 +148,7 @@ COMPILED_TESTS = --deselect tests/test_api.py::test_every_public_name_has_a_docs
 	tests/tools/gym tests/odrive tests/jk_bms tests/conformance/test_calculators.py \
 	tests/runtime/test_driver.py tests/runtime/calculators \
 	$(patsubst %,tests/runtime/can_base/test_%.py,arming can_base cia402_driver plugins roboteq_driver) \
-	tests/simulation/test_control_loop.py tests/simulation/test_scenario_run.py \
+	tests/simulation/test_control_loop.py tests/simulation/test_scenario_run.py tests/simulation/test_episode.py \
 	tests/simulation/physics/test_sim_base.py tests/simulation/physics/test_mujoco_base.py
 compiled: $(READY)
 	rm -rf $(COMPILED) && mkdir -p $(COMPILED)

@@ -43,6 +43,8 @@ class Span(NamedTuple):
     end_column: int = 1
 
     def __str__(self) -> str:
+        if self.file.startswith("--"):  # an option of the command line
+            return self.file
         return f"{self.file}:{self.line}:{self.column}"
 
 
