@@ -311,9 +311,9 @@ class LastingErrors:
 
         S_b = integral of Ad(pose) k_b dt,     C = sum of S_b S_b',
 
-    in the odometry frame, and adds C to the covariance (consider covariance, Schmidt 1966).  A drive
-    of 77 s with radii that are 1 % wrong ends with a yaw error of 10 to 20 deg, so that small motions
-    no longer commute.  With the yaw part theta and the position part rho of S, the
+    in the odometry frame, and adds C to the covariance (consider covariance, Schmidt 1966).  After
+    a drive of 77 s with radii that are 1 % wrong, the yaw error is 10 to 20 deg, so that small
+    motions no longer commute.  With the yaw part theta and the position part rho of S, the
     Baker-Campbell-Hausdorff formula adds 1/2 integral of (theta d rho - rho d theta), rotated by
     90 deg, to the error; the covariance of this quadratic form is added too.
 
