@@ -33,6 +33,7 @@ import pytest
 
 from tests.diagnostics.cases import GOOD, PAGES, read_cases
 from thorvaldc.diagnostics import CODES, Diagnostic, Report
+from thorvaldc.diagnostics.report import explain
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import VERSION
 
@@ -316,6 +317,9 @@ def test_every_code_has_a_page_with_cases(code: Any) -> None:
     cases = read_cases(page)
     assert cases
     assert text.count("<!-- case") == len(cases)
+    shown = explain(code.number)
+    assert "<!-- case" not in shown
+    assert shown.partition("\n## Examples\n")[2].strip(), "no example is shown"
 
 
 def test_pages_belong_to_codes() -> None:

@@ -345,6 +345,23 @@ _BLOCKS_PER_AREA: Final = 5
 class LastingErrors:
     """Share of one robot's pose covariance that is caused by errors that last.
 
+    A wheel with the rolling speed v and the relative radius error r changes its rolling measurement
+    by r v.  An error e of its direction changes its side slip by e v.  The estimate xi = P sum(H' W
+    m) is linear in the measurements, so the errors of the twist are P L' w_L r v and P T' w_T e v.
+    With k_b, the error of the twist per standard deviation of the error b, the odometry integrates
+
+        S_b = integral of Ad(pose) k_b dt,     C = sum of S_b S_b',
+
+    in the odometry frame, and adds C to the covariance (consider covariance, Schmidt 1966).  After
+    a drive of 77 s with radii that are 1 % wrong, the yaw error is 10 to 20 deg, so that small
+    motions no longer commute.  With the yaw part theta and the position part rho of S, the
+    Baker-Campbell-Hausdorff formula adds 1/2 integral of (theta d rho - rho d theta), rotated by
+    90 deg, to the error; the covariance of this quadratic form is added too.
+
+    The twist error e that lasts for some seconds has the covariance Q of the estimate and the
+    autocorrelation exp(-t / tau).  The cross-covariance D of the pose error and e is carried along,
+    which gives the exact covariance for drives of any length and in curves.
+
     ``start_time``: time (s) of the joint states at the start of the present block.
     """
 
