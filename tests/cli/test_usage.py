@@ -22,7 +22,6 @@ script: [{at: 0 s, vx: 0.1 m/s}]
 ARGUMENTS = {
     "new": ["mine"],
     "scenario": ["s.yaml"],
-    "batch": ["s.yaml"],
     "view": ["good.yaml", "--html"],
     "run": ["good.yaml", "--bus", "virtual"],
     "call": ["nobody"],
@@ -153,7 +152,7 @@ def test_wrong_arguments(words: tuple[str, ...], thorvaldc: Command) -> None:
     "words",
     [
         *((name, "no.yaml") for name in ("check", "build", "sim", "render", "preview", "view")),
-        *((name, "no.yaml") for name in ("scenario", "batch", "bus", "faults", "info", "import")),
+        *((name, "no.yaml") for name in ("scenario", "bus", "faults", "info", "import")),
         ("run", "no.yaml", "--bus", "virtual"),
         ("can", "plan", "no.yaml", "--bus", "virtual"),
         ("can", "monitor", "no.yaml", "--bus", "sim:x"),

@@ -136,6 +136,7 @@ def scenario(
 ) -> int:
     from thorvaldc.cli.run_outputs import RunOutputs
 
+    process_count = options.parse_count(jobs, "--jobs", 1)
     choices = options.choices(settings)
     if output or any(len(values) > 1 for values in choices.values()):
         of_one_run = {"--parameters": parameters, "--junit": junit, "--record": record}
@@ -144,7 +145,8 @@ def scenario(
         from thorvaldc.simulation.scenario_sweep import Sweep
 
         folders = options.library_folders(library)
-        return _sweep(Sweep(file, choices, robot or None, folders, trust), jobs, output, json)
+        sweep = Sweep(file, choices, robot or None, folders, trust)
+        return _sweep(sweep, process_count, output, json)
     outputs = RunOutputs(plot, video, record, log)
     values = {path: nodes[0] for path, nodes in choices.items()}
     compilation = compile_and_show(file, library, robot or None, values, trust=trust)
@@ -159,13 +161,15 @@ SHOWN_FAILURES = 10
 """Largest number of failed runs of a sweep whose diagnostics are printed."""
 
 
-def _sweep(sweep: Sweep, jobs: str, output: str, json: bool) -> int:
-    """Runs a sweep, prints its table and returns the exit status."""
+def _sweep(sweep: Sweep, process_count: int | None, output: str, json: bool) -> int:
+    """Runs a sweep, prints its table and returns the exit status.
+
+    ``process_count``: number of processes, or ``None`` for one on each processor.
+    """
     from thorvaldc.simulation.scenario_sweep import ResultFile
     from thorvaldc.simulation.worker_processes import processors
 
     gc.enable()
-    process_count = options.parse_count(jobs, "--jobs", 1) or processors()
     if output:
         options.check_output(output, ("csv",), "--output")
     compilation = sweep.check()
@@ -175,7 +179,7 @@ def _sweep(sweep: Sweep, jobs: str, output: str, json: bool) -> int:
         raise typer.BadParameter(f"{sweep.scenario} is no scenario", param_hint="SCENARIO")
     with write_errors(output):
         file = ResultFile(Path(output)) if output else None
-    runs = _runs_of(sweep, process_count, file, json)
+    runs = _runs_of(sweep, process_count or processors(), file, json)
     failed_runs = [run for run in runs if run.errors]
     for run in failed_runs[:SHOWN_FAILURES]:
         for text in run.errors:
