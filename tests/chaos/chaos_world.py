@@ -473,7 +473,7 @@ class ChaosWorld:
         if target in self._targets.values():
             return  # the end of the first of two equal faults would end both
         fault = BusFault(kind, bus, node, 0.0, None, SPAN, **more)
-        remove = self._injector._start(fault)
+        remove = self._injector.start(fault)
         problem = problem_kind(self.robot, fault)
         number = self._open_problem(problem, notice_time(self.robot, problem, fault))
         if kind == "late_frames":

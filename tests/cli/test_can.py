@@ -320,7 +320,7 @@ def test_a_journal_with_values_of_wrong_types_is_refused(
     changed = json.loads(lines[number])
     del changed["chain"]
     values = changed["plan"]["target"]["nodes"][0]["values"] if record == "run" else changed["old"]
-    values[0][1] = "x" * 9  # the index of an object
+    values[0]["index"] = "x" * 9
     if record == "run":
         changed["hash"] = digest(changed["plan"])
     text = json.dumps(changed, separators=(",", ":"))[:-1]

@@ -68,7 +68,7 @@ class ManualFaultInjector(FaultInjector):
 
     def inject(self, fault: BusFault) -> None:
         self.struck_at = self.simulated.timeline.seconds
-        self.remove = self._start(fault)
+        self.remove = self.start(fault)
 
 
 class Reaction(NamedTuple):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import typing
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from thorvaldc.can.lss import UNCONFIGURED, Identity
@@ -144,7 +143,7 @@ class BusConfiguration:
 
     @property
     def hash(self) -> str:
-        return digest(to_json(self))
+        return digest(asdict(self))
 
     def node(self, name: str) -> NodeConfiguration:
         """Returns the required configuration of the node ``name``.
@@ -211,42 +210,16 @@ def digest(value: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def to_json(target: BusConfiguration) -> dict[str, Any]:
-    nodes = []
-    for node in target.nodes:
-        entry: dict[str, Any] = {
-            name: getattr(node, name) for name in NodeConfiguration.__slots__ if name != "values"
-        }
-        entry["seen_by"] = [list(pair) for pair in node.seen_by]
-        entry["statuswords"] = list(node.statuswords)
-        entry["values"] = values_to_json(node.values)
-        nodes.append(entry)
-    return {
-        "robot": target.robot,
-        "bus": target.bus,
-        "bitrate": target.bitrate,
-        "nodes": nodes,
-    }
-
-
 def from_json(value: Mapping[str, Any]) -> BusConfiguration:
-    """Converts the JSON form of a bus configuration into a ``BusConfiguration``.
+    """Converts the JSON form of a bus configuration (``asdict``) into a ``BusConfiguration``.
 
-    Raises ``KeyError``, ``TypeError`` or ``ValueError`` if the JSON value is not a bus
-    configuration.
+    Raises ``ValueError`` if the JSON value is not a bus configuration.
     """
-    hints = typing.get_type_hints(NodeConfiguration)
-    plain = hints.keys() - {"values"}
-    nodes = []
-    for entry in value["nodes"]:
-        if entry.keys() != hints.keys():
-            raise ValueError("the fields of a node are wrong")
-        fields = {name: typed_value(hints[name], entry[name], name) for name in plain}
-        check_node_id(fields["id"])
-        values = values_from_json(entry["values"])
-        nodes.append(NodeConfiguration(**fields, values=values))
-    robot, bus = typed_value(str, value["robot"]), typed_value(str, value["bus"])
-    return BusConfiguration(robot, bus, typed_value(int, value["bitrate"]), tuple(nodes))
+    configuration: BusConfiguration = typed_value(BusConfiguration, value)
+    for node in configuration.nodes:
+        check_node_id(node.id)
+        check_values(node.values)
+    return configuration
 
 
 def check_node_id(number: int) -> None:
@@ -255,16 +228,9 @@ def check_node_id(number: int) -> None:
         raise ValueError(f"{number} is no node id")
 
 
-def values_to_json(values: Sequence[ParameterValue]) -> list[list[Any]]:
-    return [[v.name, v.index, v.subindex, v.type, v.value] for v in values]
-
-
-def values_from_json(value: Sequence[Sequence[Any]]) -> tuple[ParameterValue, ...]:
-    """Converts the JSON form of object values.  Raises ``ValueError`` if it is another value."""
-    entries = typed_value(tuple[tuple[str, int, int, str, int], ...], value)
-    values = tuple(ParameterValue(*entry) for entry in entries)
+def check_values(values: Sequence[ParameterValue]) -> None:
+    """Raises ``ValueError`` if a value is not one of an object that a node can have."""
     for entry in values:
         in_range = 0 <= entry.index <= 0xFFFF and 0 <= entry.subindex <= 0xFF
         if not in_range or entry.type not in OBJECT_TYPES:
             raise ValueError(f"{entry.name} is no object of a node")
-    return values

@@ -28,7 +28,7 @@ import json
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -36,8 +36,9 @@ from thorvaldc.commissioning import bus_configuration
 from thorvaldc.commissioning.plan import Plan, plan_from_json, plan_to_json
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.diagnostics.files import append_whole, check_regular, read_json
+from thorvaldc.model.model_json import typed_value
 
-FORMAT, VERSION = "thorvaldc-flash", 3
+FORMAT, VERSION = "thorvaldc-flash", 4
 APPLY, RESUME, ROLLBACK = "apply", "resume", "rollback"
 MAX_BYTES = 64_000_000
 """Limit of the size of a journal; a flash of a robot writes some 10 kB."""
@@ -135,11 +136,7 @@ class Run:
     def previous_values(self) -> list[tuple[str, tuple[bus_configuration.ParameterValue, ...]]]:
         """Returns the node and the previous object values for each journal record of a step that
         writes object values."""
-        return [
-            (record["node"], bus_configuration.values_from_json(record["old"]))
-            for record in self.records
-            if "old" in record
-        ]
+        return [(record["node"], _values(record)) for record in self.records if "old" in record]
 
 
 def unreadable(name: str, reason: str) -> DiagnosticError:
@@ -221,7 +218,7 @@ class Journal:
             "what": description,
         }
         if old:
-            record["old"] = bus_configuration.values_to_json(old)
+            record["old"] = [asdict(value) for value in old]
         self._append(record)
 
     def done(self, step: int, node: str, read: Any) -> None:
@@ -321,12 +318,20 @@ class Journal:
                 raise ValueError(kind)
             if not isinstance(record["node"], str):
                 raise ValueError(kind)
-            bus_configuration.values_from_json(record.get("old", []))
+            bus_configuration.check_values(_values(record))
         elif kind not in ("stopped", "end"):
             raise ValueError(kind)
 
     def _unreadable(self, reason: str) -> DiagnosticError:
         return unreadable(self.storage.name, reason)
+
+
+def _values(record: dict[str, Any]) -> tuple[bus_configuration.ParameterValue, ...]:
+    """Returns the previous values of a record.  Raises ``ValueError`` for anything else."""
+    values: tuple[bus_configuration.ParameterValue, ...] = typed_value(
+        tuple[bus_configuration.ParameterValue, ...], record.get("old", [])
+    )
+    return values
 
 
 def _next_link(link: bytes, text: bytes) -> bytes:

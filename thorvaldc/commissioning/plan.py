@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from thorvaldc.can.lss import UNCONFIGURED, Identity
 from thorvaldc.commissioning import bus_configuration
@@ -30,7 +30,7 @@ class AddressStep:
     ``AddressStep`` is undone by an ``AddressStep`` with ``before`` and ``after`` exchanged.
     """
 
-    kind: ClassVar[str] = "address"
+    kind = "address"
     node: str
     identity: Identity
     before: int
@@ -59,7 +59,7 @@ class ConfigureStep:
     ``None`` if the number is not known yet.
     """
 
-    kind: ClassVar[str] = "configure"
+    kind = "configure"
     node: str
     id: int
     identity: Identity | None
@@ -84,7 +84,7 @@ class AttachStep:
     ``AttachStep``.
     """
 
-    kind: ClassVar[str] = "attach"
+    kind = "attach"
     node: str
     after: int
     back_end: str = ATTACH_ONE
@@ -140,53 +140,38 @@ class Plan:
 # -- as JSON ------------------------------------------------------------------------------------
 
 
+_STEPS = {step.kind: step for step in (AddressStep, ConfigureStep, AttachStep)}
+
+
 def step_to_json(step: PlanStep) -> dict[str, Any]:
-    entry = {"kind": step.kind, **{name: getattr(step, name) for name in step.__slots__}}
-    if isinstance(step, ConfigureStep):
-        entry["values"] = bus_configuration.values_to_json(step.values)
-    return entry
+    return {"kind": step.kind, **asdict(step)}
 
 
 def step_from_json(value: Mapping[str, Any]) -> PlanStep:
-    node = typed_value(str, value["node"])
-    if value["kind"] == "address":
-        return AddressStep(
-            node,
-            _identity_from_json(value["identity"]),
-            _node_id_from_json(value["before"]),
-            _node_id_from_json(value["after"]),
-            typed_value(str, value["back_end"]),
-        )
-    if value["kind"] == "configure":
-        identity = value["identity"]
-        return ConfigureStep(
-            node,
-            _node_id_from_json(value["id"]),
-            None if identity is None else _identity_from_json(identity),
-            bus_configuration.values_from_json(value["values"]),
-            typed_value(int | None, value["differing"]),
-        )
-    return AttachStep(node, _node_id_from_json(value["after"]))
+    fields = {name: member for name, member in value.items() if name != "kind"}
+    step: PlanStep = typed_value(_STEPS[value["kind"]], fields)
+    if isinstance(step, ConfigureStep):
+        bus_configuration.check_values(step.values)
+        _check_device(step.identity, step.id)
+    elif isinstance(step, AddressStep):
+        _check_device(step.identity, step.before, step.after)
+    else:
+        _check_device(None, step.after)
+    return step
 
 
-def _node_id_from_json(value: Any) -> int:
-    number: int = typed_value(int, value)
-    bus_configuration.check_node_id(number)
-    return number
-
-
-def _identity_from_json(value: Any) -> Identity:
-    identity = Identity(*typed_value(tuple[int, int, int, int], value))
-    if not all(0 <= number < 1 << 32 for number in identity):
+def _check_device(identity: Identity | None, *node_ids: int) -> None:
+    for node_id in node_ids:
+        bus_configuration.check_node_id(node_id)
+    if identity is not None and not all(0 <= number < 1 << 32 for number in identity):
         raise ValueError(f"{identity} is no identity")
-    return identity
 
 
 def plan_to_json(plan: Plan) -> dict[str, Any]:
     return {
-        "target": bus_configuration.to_json(plan.configuration),
-        "start": [list(pair) for pair in plan.start],
-        "identities": [[name, list(identity)] for name, identity in plan.identities],
+        "target": asdict(plan.configuration),
+        "start": plan.start,
+        "identities": plan.identities,
         "steps": [step_to_json(step) for step in plan.steps],
     }
 
@@ -197,12 +182,16 @@ def plan_from_json(value: Mapping[str, Any]) -> Plan:
     Raises ``KeyError``, ``TypeError`` or ``ValueError`` if the JSON value is not a commissioning
     plan.
     """
-    return Plan(
+    plan = Plan(
         bus_configuration.from_json(value["target"]),
-        tuple((typed_value(str, n), _node_id_from_json(i)) for n, i in value["start"]),
-        tuple((typed_value(str, n), _identity_from_json(i)) for n, i in value["identities"]),
+        typed_value(tuple[tuple[str, int], ...], value["start"]),
+        typed_value(tuple[tuple[str, Identity], ...], value["identities"]),
         tuple(step_from_json(step) for step in value["steps"]),
     )
+    _check_device(None, *(node_id for _, node_id in plan.start))
+    for _, identity in plan.identities:
+        _check_device(identity)
+    return plan
 
 
 # -- as text ---------------------------------------------------------------------------------------

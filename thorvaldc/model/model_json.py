@@ -176,9 +176,9 @@ A decoder raises ``ModelFormatError`` if the JSON value has a wrong type.
 @functools.cache
 def _decoder(hint: Any) -> _Decoder:
     """Return a decoder: a function that converts JSON values to a type of the model."""
-    if hint is Span:
-        fields = _decoder(tuple[str, int, int, int, int])
-        return lambda value, path: Span(*fields(value, path))
+    if isinstance(hint, type) and issubclass(hint, tuple):  # a named tuple, which is a list
+        items = _tuple_decoder(list(map(_decoder, typing.get_type_hints(hint).values())))
+        return lambda value, path: hint(*items(value, path))
     if dataclasses.is_dataclass(hint):
         return _object_decoder(cast(type, hint))
     arguments = typing.get_args(hint)

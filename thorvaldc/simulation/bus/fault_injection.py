@@ -57,7 +57,7 @@ class FaultInjector:
         """Starts an injected fault immediately."""
         self.active.append(fault)
         self._report(fault, True)
-        remove = self._start(fault)
+        remove = self.start(fault)
         if fault.duration is not None:
             timeline = self.simulated.timeline
             timeline.after(to_ns(fault.duration), lambda: self._end(fault, remove))
@@ -82,8 +82,8 @@ class FaultInjector:
 
     # -- kinds of faults ----------------------------------------------------------------------
 
-    def _start(self, fault: BusFault) -> Removal:
-        """Starts an injected fault and returns a function that removes the injected fault."""
+    def start(self, fault: BusFault) -> Removal:
+        """Starts an injected fault, and returns the function that ends it."""
         wire = self.simulated.wires[fault.bus]
         devices = self._devices(fault)
         if fault.kind == "power_cut":
