@@ -148,6 +148,26 @@ def _balances(
     ]
 
 
+def null_space(rows: Sequence[Sequence[float]], n: int) -> list[list[float]]:
+    """Return an orthonormal basis of the vectors of length n that are orthogonal to all rows."""
+    basis: list[list[float]] = []
+    free: list[list[float]] = []
+    units = [[1.0 if j == k else 0.0 for j in range(n)] for k in range(n)]
+    for vector, is_unit in (*((row, False) for row in rows), *((unit, True) for unit in units)):
+        length = math.sqrt(float_sum(v * v for v in vector))
+        rest = list(vector)
+        for _ in range(2):  # the second pass removes the rounding errors of the first
+            for direction in basis:
+                share = float_sum(a * b for a, b in zip(rest, direction, strict=True))
+                rest = [a - share * b for a, b in zip(rest, direction, strict=True)]
+        remainder = math.sqrt(float_sum(v * v for v in rest))
+        if remainder > 1e-7 * length:
+            basis.append([v / remainder for v in rest])
+            if is_unit:
+                free.append(basis[-1])
+    return free
+
+
 def spring_reference(
     joint: Joint, tree: JointTree, wheels: Sequence[Wheel], loads: Sequence[float]
 ) -> float:
