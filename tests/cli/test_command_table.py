@@ -11,6 +11,7 @@ import pytest
 from tests.cli.conftest import Command
 from thorvaldc.cli.main import all_commands
 
+ROOT = Path(__file__).parents[2]
 PATHS = [tuple(entry.name.split()) for entry in all_commands() if entry.target]
 HEAVY = [
     "numpy",
@@ -34,6 +35,33 @@ for path in sys.argv[1:]:
     heavy = [name for name in {HEAVY!r} if name in sys.modules]
     assert status == 0 and not heavy, (path, status, heavy)
 """
+
+
+# Rooms that a command does not use, in the order in which one process calls the commands.
+UNUSED = {
+    "modules list": ["thorvaldc.compiler.bus", "thorvaldc.compiler.hardware"],
+    "check examples/4wd4ws_wide/robot.yaml": ["thorvaldc.model.fleet", "jsonschema"],
+    "info examples/4wd4ws_wide/robot.yaml": ["thorvaldc.comparison"],
+}
+UNUSED_SCRIPT = f"""
+import contextlib, io, sys
+from thorvaldc.cli.main import run_command
+for line, unused in {UNUSED!r}.items():
+    sys.argv = ["thorvaldc", *line.split()]
+    with contextlib.redirect_stdout(io.StringIO()):
+        status = run_command()
+    loaded = [name for name in unused if name in sys.modules]
+    assert status == 0 and not loaded, (line, status, loaded)
+"""
+
+
+def test_a_command_loads_no_room_that_it_does_not_use() -> None:
+    subprocess.run(
+        [sys.executable, "-c", UNUSED_SCRIPT],
+        cwd=ROOT,
+        env={"PYTHONPATH": ":".join(sys.path)},
+        check=True,
+    )
 
 
 def test_the_help_of_no_command_loads_a_heavy_package() -> None:

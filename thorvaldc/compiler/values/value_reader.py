@@ -98,9 +98,9 @@ class ValueReader(Mapping[str, Any]):
         value = node.value
         if value is None:
             return INVALID  # The schema check has already reported the invalid value.
-        if not (isinstance(value, str) and value.startswith("${") and value.endswith("}")):
+        text = expression_of(node)
+        if text is None:
             return read_at(value, node.span)
-        text = value[2:-1]
         try:
             result = evaluate(text, self)
             if text not in self._dimensions:
@@ -114,7 +114,7 @@ class ValueReader(Mapping[str, Any]):
         except ExpressionError as error:
             hint = error.hint
             if isinstance(hint, Proposal) and hint.word:
-                whole = hint.within(value)
+                whole = hint.within(str(value))
                 hint = Proposal(hint, *(f'"{text}"' for text in whole.replacements))
             self.report.add(error.code, error.message, node.span, hint=hint)
         except ReferenceCycleError as error:

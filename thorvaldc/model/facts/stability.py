@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from thorvaldc.model import Robot
@@ -11,7 +10,7 @@ from thorvaldc.model import quantities as si
 from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.spatial import GRAVITY, clean
 from thorvaldc.model.statics.standing import standing_of
-from thorvaldc.model.statics.static_loads import maximize
+from thorvaldc.model.statics.static_loads import maximize, null_space
 from thorvaldc.model.statics.tip_over import Support, support_of
 from thorvaldc.model.sums import float_sum
 
@@ -79,7 +78,7 @@ def load_ranges(robot: Robot) -> tuple[tuple[float, float], ...] | None:
         points = [wheel.contact_point for wheel in robot.wheels]
         balances = [[1.0] * len(points), [x for x, _ in points], [y for _, y in points]]
         bounds = []
-    free = _null_space(balances, len(loads))
+    free = null_space(balances, len(loads))
     if not free:
         return tuple((wheel.load, wheel.load) for wheel in robot.wheels)
     total = float_sum(loads)
@@ -103,26 +102,6 @@ def load_ranges(robot: Robot) -> tuple[tuple[float, float], ...] | None:
         stated = robot.wheels[i].load
         ranges.append((stated, stated) if is_determined else (clean(low), clean(high)))
     return tuple(ranges)
-
-
-def _null_space(rows: Sequence[Sequence[float]], n: int) -> list[list[float]]:
-    """Return an orthonormal basis of the vectors of length n that are orthogonal to all rows."""
-    basis: list[list[float]] = []
-    free: list[list[float]] = []
-    units = [[1.0 if j == k else 0.0 for j in range(n)] for k in range(n)]
-    for vector, is_unit in (*((row, False) for row in rows), *((unit, True) for unit in units)):
-        length = math.sqrt(float_sum(v * v for v in vector))
-        rest = list(vector)
-        for _ in range(2):  # the second pass removes the rounding errors of the first
-            for direction in basis:
-                share = float_sum(a * b for a, b in zip(rest, direction, strict=True))
-                rest = [a - share * b for a, b in zip(rest, direction, strict=True)]
-        remainder = math.sqrt(float_sum(v * v for v in rest))
-        if remainder > 1e-7 * length:
-            basis.append([v / remainder for v in rest])
-            if is_unit:
-                free.append(basis[-1])
-    return free
 
 
 DIRECTIONS = {

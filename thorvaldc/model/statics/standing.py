@@ -37,6 +37,7 @@ from thorvaldc.model.statics import joint_tree as trees
 from thorvaldc.model.statics.static_loads import (
     least_squares_loads,
     maximize,
+    null_space,
     spring_reference,
     static_loads,
 )
@@ -299,30 +300,13 @@ def _softest_motion(
     - ``fixed``: numbers of the unknowns that limits hold.
     """
     n = len(state.gradient)
-    basis: list[list[float]] = []
     constraints = [
         lift
         for lift, load in zip(state.jacobian, loads, strict=True)
         if load > _LOADED * body.weight
     ]
     constraints += [[1.0 if j == k else 0.0 for j in range(n)] for k in sorted(fixed)]
-    motions: list[list[float]] = []
-    # Gram-Schmidt: first the constraints, whose directions are forbidden; what remains of each
-    # unknown without them is a motion.
-    for vector, is_motion in (
-        *((row, False) for row in constraints),
-        *(([1.0 if j == k else 0.0 for j in range(n)], True) for k in range(n - 1, -1, -1)),
-    ):
-        rest = list(vector)
-        for _ in range(2):  # the second pass removes the rounding errors of the first
-            for unit in basis:
-                share = float_sum(a * b for a, b in zip(rest, unit, strict=True))
-                rest = [a - share * b for a, b in zip(rest, unit, strict=True)]
-        length = math.sqrt(float_sum(v * v for v in rest))
-        if length > 1e-6:
-            basis.append([v / length for v in rest])
-            if is_motion:
-                motions.append(basis[-1])
+    motions = null_space(constraints, n)
     if not motions:
         return [], math.inf
     vector, least = _least_eigenvector(_curvatures(body, state, loads, motions))

@@ -97,7 +97,10 @@ def static_loads(
     weight = body.mass * GRAVITY
     loads = [0.0] * len(points)
     while active:
-        solution = least_squares_loads(_balances(points, body, pivots, active))
+        if pivots:
+            solution = least_squares_loads(_balances(points, body, pivots, active))
+        else:
+            solution = _plane_loads([points[i] for i in active], body.com[:2], weight)
         lowest = min(range(len(active)), key=lambda k: solution[k])
         if solution[lowest] >= -1e-9 * max(weight, 1.0) or len(active) == 1:
             for i, load in zip(active, solution, strict=True):
@@ -146,6 +149,58 @@ def _balances(
         ([points[i][1] for i in active], weight * body.com[1]),
         *(([pivot.levers[i] for i in active], pivot.moment) for pivot in pivots),
     ]
+
+
+def _plane_loads(
+    points: Sequence[tuple[float, float]], com: tuple[float, float], weight: float
+) -> list[float]:
+    """Returns the load (N) of each wheel of a robot without rockers.
+
+    The load of the wheel i is N_i = W / n + b (x_i - mean x) + c (y_i - mean y), where W is the
+    weight of the robot, n is the number of wheels, and b and c follow from the balance of the
+    moments.
+    """
+    n = len(points)
+    mx, my = float_sum(p[0] for p in points) / n, float_sum(p[1] for p in points) / n
+    sxx = float_sum((p[0] - mx) ** 2 for p in points)
+    syy = float_sum((p[1] - my) ** 2 for p in points)
+    sxy = float_sum((p[0] - mx) * (p[1] - my) for p in points)
+    dx, dy = com[0] - mx, com[1] - my
+    det = sxx * syy - sxy * sxy
+    if det > 1e-9 * (sxx + syy) ** 2:
+        b = weight * (syy * dx - sxy * dy) / det
+        c = weight * (sxx * dy - sxy * dx) / det
+    else:
+        # Wheels with contact points on one straight line balance only the moment about the normal
+        # of the line.  ``least_squares_loads`` would satisfy the balance about x instead.
+        trace = sxx + syy
+        if trace == 0.0:
+            return [weight / n] * n
+        angle = 0.5 * math.atan2(2 * sxy, sxx - syy)
+        ux, uy = math.cos(angle), math.sin(angle)
+        slope = weight * (ux * dx + uy * dy) / trace
+        b, c = slope * ux, slope * uy
+    return [weight / n + b * (p[0] - mx) + c * (p[1] - my) for p in points]
+
+
+def null_space(rows: Sequence[Sequence[float]], n: int) -> list[list[float]]:
+    """Return an orthonormal basis of the vectors of length n that are orthogonal to all rows."""
+    basis: list[list[float]] = []
+    free: list[list[float]] = []
+    units = [[1.0 if j == k else 0.0 for j in range(n)] for k in range(n)]
+    for vector, is_unit in (*((row, False) for row in rows), *((unit, True) for unit in units)):
+        length = math.sqrt(float_sum(v * v for v in vector))
+        rest = list(vector)
+        for _ in range(2):  # the second pass removes the rounding errors of the first
+            for direction in basis:
+                share = float_sum(a * b for a, b in zip(rest, direction, strict=True))
+                rest = [a - share * b for a, b in zip(rest, direction, strict=True)]
+        remainder = math.sqrt(float_sum(v * v for v in rest))
+        if remainder > 1e-7 * length:
+            basis.append([v / remainder for v in rest])
+            if is_unit:
+                free.append(basis[-1])
+    return free
 
 
 def spring_reference(
