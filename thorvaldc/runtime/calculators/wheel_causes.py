@@ -367,13 +367,7 @@ class CauseSearch:
         best = hypotheses[0]
         if best.worst_ratio > 2.0:  # twice the gate has about the square of the gate's probability
             return []
-        likely = [h for h in hypotheses if h.cost <= best.cost + _NEGLIGIBLE]
-        every = encoders(measurements)
-        if self._against.commands and any(2 * len(h.wrong) >= len(every) for h in likely):
-            # Nothing confirms the encoders of a minority: the errors of all may be small.
-            last = self._encoders_wrong(every, measurements, 0.0)
-            likely.append(last._replace(cost=best.cost + _NEGLIGIBLE))
-        return likely
+        return [h for h in hypotheses if h.cost <= best.cost + _NEGLIGIBLE]
 
     # -- hypothesis 3 -------------------------------------------------------------------
 
