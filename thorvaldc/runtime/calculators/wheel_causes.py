@@ -266,6 +266,7 @@ def contradiction(
     common = _COMMON_LAG
     untested = stops = False
     every = encoders(measurements)
+    rolling = turning[every[0]][0] if every else 0.0
     for k in every:
         measured, command = turning[k]
         follows = abs(measured - command) <= following_error(command)
@@ -282,6 +283,8 @@ def contradiction(
         if abs(command) <= _COMMANDED_SPEED:
             pushed += confirmed
             stops = True
+            # Two wheels that a push turns alike confirm each other.
+            doubtful = doubtful or not (confirmed or abs(measured - rolling) < FOLLOWING_FLOOR)
             continue
         doubtful = doubtful or abs(share - 1.0) > _DOUBTFUL
     commands = [
@@ -290,7 +293,7 @@ def contradiction(
         for m, (measured, command) in zip(measurements, turning, strict=True)
     ]
     doubtful = doubtful or highest - lowest > common
-    # A push turns all wheels.  Nothing confirms a single one.
+    # A push turns all wheels.  Nothing confirms the deviation of a single one.
     if untested and (len(every) == 1 or (stops and len(wheels) < len(every))):
         doubtful = True
     return Contradiction(tuple(wheels), commands, pushed, doubtful)
