@@ -264,9 +264,8 @@ def contradiction(
     wheels: list[int] = []
     pushed, doubtful, highest, lowest = 0, False, -math.inf, math.inf
     common = _COMMON_LAG
-    untested = stops = False
+    untested, stops, alike = False, False, True
     every = encoders(measurements)
-    rolling = turning[every[0]][0] if every else 0.0
     for k in every:
         measured, command = turning[k]
         follows = abs(measured - command) <= following_error(command)
@@ -283,8 +282,7 @@ def contradiction(
         if abs(command) <= _COMMANDED_SPEED:
             pushed += confirmed
             stops = True
-            # Two wheels that a push turns alike confirm each other.
-            doubtful = doubtful or not (confirmed or abs(measured - rolling) < FOLLOWING_FLOOR)
+            alike = alike and abs(measured - turning[every[0]][0]) < FOLLOWING_FLOOR
             continue
         doubtful = doubtful or abs(share - 1.0) > _DOUBTFUL
     commands = [
@@ -293,8 +291,9 @@ def contradiction(
         for m, (measured, command) in zip(measurements, turning, strict=True)
     ]
     doubtful = doubtful or highest - lowest > common
-    # A push turns all wheels.  Nothing confirms the deviation of a single one.
-    if untested and (len(every) == 1 or (stops and len(wheels) < len(every))):
+    # A push turns all wheels, and two wheels alike.  Nothing confirms a single one.
+    no_push = len(wheels) < len(every) or not (pushed or alike)
+    if untested and (len(every) == 1 or (stops and no_push)):
         doubtful = True
     return Contradiction(tuple(wheels), commands, pushed, doubtful)
 
