@@ -360,10 +360,11 @@ class CauseSearch:
                 hypotheses += self._one_more_wrong(single, known, visited)
         if may_slide:
             sliding = self._sliding(measurements, fit)
-            if self._gyro_slip and not self._against.wheels:
+            best = min(hypotheses, key=_cost)
+            wheels = {*self._against.wheels}
+            if self._gyro_slip and not (wheels and wheels <= {*best.wrong}):
                 # Wrong wheels explain by accident that few wheels and a gyro disagree.
-                most = min(h.cost for h in hypotheses) + _NEGLIGIBLE
-                sliding = sliding._replace(cost=min(sliding.cost, most))
+                sliding = sliding._replace(cost=min(sliding.cost, best.cost + _NEGLIGIBLE))
             hypotheses.append(sliding)
         hypotheses.sort(key=_cost)
         best = hypotheses[0]
