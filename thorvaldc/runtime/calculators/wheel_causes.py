@@ -215,11 +215,13 @@ class Fits(NamedTuple):
         if not speeds:
             return fit, self.misfit(fit)
         for k in wheels:
-            fit = add_rolling_speed(fit, k, speeds[k], following_error(speeds[k]) ** 2)
+            # The contact slips too, in particular that of a wheel that skids.
+            variance = following_error(speeds[k]) ** 2 + fit.measurements[k][7]
+            fit = add_rolling_speed(fit, k, speeds[k], variance)
         disagreement = self.misfit(fit)
         for k in wheels:
-            error = (speeds[k] - rolling_speed(fit, k)) / following_error(speeds[k])
-            disagreement += error * error
+            variance = following_error(speeds[k]) ** 2 + fit.measurements[k][7]
+            disagreement += (speeds[k] - rolling_speed(fit, k)) ** 2 / variance
         return fit, disagreement
 
     def misfit(self, fit: Fit) -> float:
