@@ -247,3 +247,15 @@ def test_two_undecided_times_have_the_same_cause_if_they_are_close(
     now = driven(odometry, Twist(0.0, 0.0, 0.0), now + 0.02, now + pause)
     held(odometry, Twist(0.6, 0.0, 0.0), now, 2.0)
     assert math.sqrt(odometry.covariance[0][0]) == pytest.approx(growth * sigma, rel=0.05)
+
+
+def test_undecided_errors_do_not_depend_on_the_pose() -> None:
+    """The covariance is that of a small motion in base_link."""
+    covariances = []
+    for pose in (ORIGIN, Pose2(50.0, -30.0, 2.0)):
+        odometry = make_odometry()
+        now = driven(odometry, Twist(0.6, 0.0, 0.4), 0.0, 1.0)
+        odometry.reset(pose)
+        held(odometry, Twist(0.6, 0.0, 0.4), now, 1.0)
+        covariances.append([value for row in odometry.covariance for value in row])
+    assert covariances[1] == pytest.approx(covariances[0], rel=1e-6, abs=1e-9)

@@ -358,9 +358,10 @@ class LastingErrors:
     Baker-Campbell-Hausdorff formula adds 1/2 integral of (theta d rho - rho d theta), rotated by
     90 deg, to the error; the covariance of this quadratic form is added too.
 
-    The twist error e that lasts for some seconds has the covariance Q of the estimate and the
-    autocorrelation exp(-t / tau).  The cross-covariance D of the pose error and e is carried along,
-    which gives the exact covariance for drives of any length and in curves.
+    The twist error e that lasts for some seconds has the covariance Q of the last estimate in
+    which no wheel was doubted, and the autocorrelation exp(-t / tau).  The cross-covariance D of
+    the pose error and e is carried along, which gives the exact covariance for drives of any length
+    and in curves.
 
     ``start_time``: time (s) of the joint states at the start of the present block.
     """

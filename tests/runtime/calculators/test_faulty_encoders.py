@@ -120,6 +120,16 @@ def test_a_wheel_that_stands_while_the_robot_is_pushed_is_doubted(
         assert estimate.suspects
 
 
+def test_two_encoders_that_are_stuck_at_different_speeds_are_no_push() -> None:
+    wheels = [wheel(f"w{i}", 0.0, y, "fixed") for i, y in enumerate((0.4, -0.4))]
+    estimator = TwistEstimator(BaseGeometry.from_wheels(wheels))
+    stuck = JointStates(0.0, [1.2, -1.8], [0.0] * 2, [0.0] * 2)
+    estimate = estimator.estimate(stuck, [0.0] * 2)
+    assert estimate.suspects == (0, 1)
+    error = np.array(estimate.twist)
+    assert error @ np.linalg.solve(np.array(estimate.covariance), error) <= 16.27
+
+
 def test_closed_form_of_two_wheels_compares_them_with_their_commands() -> None:
     wheels = [wheel("left", 0.0, 0.4, "fixed"), wheel("right", 0.0, -0.4, "fixed")]
     calculator = Differential(BaseGeometry.from_wheels(wheels))

@@ -194,6 +194,14 @@ def test_a_small_contradiction_of_a_gyro_shows_a_slide_too() -> None:
     assert squared_error(estimate, Twist(0.0, 0.0, 0.0)) < 16.3
 
 
+def test_a_pull_may_be_faster_than_the_wheels() -> None:
+    wheels = [wheel(f"w{i}", 0.0, y, "fixed") for i, y in enumerate((0.4, -0.4))]
+    speeds = [0.15 / 0.2] * 2
+    readings = JointStates(0.0, speeds, [0.0] * 2, [0.0] * 2, None, 0.1)
+    estimate = estimator(wheels).estimate(readings, speeds)
+    assert squared_error(estimate, Twist(-0.85, 0.0, 0.1)) < 16.3
+
+
 @pytest.mark.parametrize("wheels", [FOUR, SIX], ids=["4", "6"])
 @pytest.mark.parametrize("share", [0.95, 1.05])
 def test_all_wheels_but_one_may_have_a_wrong_radius(
@@ -251,14 +259,32 @@ def test_skidding_wheels_of_a_side_that_disagree_are_doubted() -> None:
     assert squared_error(estimate, Twist(0.85, 0.0, 0.0)) < 16.3
 
 
+def test_skidding_wheels_that_a_pull_turns_unequally_are_doubted() -> None:
+    """They should stand, and the robot is pulled over them."""
+    speeds = [v / 0.2 for v in (-0.18, -0.34, -0.15, -0.11)]
+    readings = JointStates(0.0, speeds, [0.0] * 4, [0.0] * 4)
+    estimate = estimator(SKID).estimate(readings, [0.0] * 4)
+    assert estimate.sliding == (0, 1, 2, 3)
+    assert squared_error(estimate, Twist(-0.64, 0.1, 0.0)) < 16.3
+
+
+def test_a_skidding_wheel_that_follows_its_command_slips_too() -> None:
+    """The encoders of one side are reversed; the robot turns by a quarter of that of its wheels."""
+    commands = [v / 0.2 for v in (1.29, 0.28, 1.29, 0.28)]
+    speeds = [v if i % 2 == 0 else -v for i, v in enumerate(commands)]
+    readings = JointStates(0.0, speeds, [0.0] * 4, [0.0] * 4, None, -0.45)
+    estimate = estimator(SKID).estimate(readings, commands)
+    assert squared_error(estimate, Twist(0.785, 0.03, -0.45)) < 16.3
+
+
 def test_the_errors_of_skidding_wheels_have_a_common_part() -> None:
     """A robot on ice turns 10 % faster than its wheels, and one that is pulled drifts."""
     speeds = General(BaseGeometry.from_wheels(SKID)).command(Twist(0.0, 0.0, 0.5)).joints.speeds
     estimate = estimator(SKID).estimate(
         JointStates(0.0, speeds, [0.0] * 4, [0.0] * 4), list(speeds)
     )
-    turn = estimate.twist.wz
-    assert squared_error(estimate, Twist(0.08, 0.05, 1.1 * turn)) < 16.3
+    assert squared_error(estimate, Twist(0.08, 0.05, 1.1 * estimate.twist.wz)) < 16.3
+    assert sigmas(estimate.covariance)[2] > 0.07 * estimate.twist.wz
     straight = JointStates(0.0, [3.0] * 4, [0.0] * 4, [0.0] * 4)
     assert sigmas(estimator(SKID).estimate(straight).covariance)[1] < 0.05
 

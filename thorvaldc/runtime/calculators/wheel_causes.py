@@ -25,8 +25,9 @@ N are the wheels that contradict their commands: |z - c| exceeds the error e(c) 
     ``q`` is the chi-square that a healthy wheel exceeds with the permitted rate of false alarms.
 3.  The encoders of N are wrong, the robot moves as the other wheels say, and N follow their
     commands.  Price ``_ONE_ENCODER`` for one wheel, if no load explains its deviation, and
-    ``_ENCODERS`` for more; ``_PUSHED`` more for each further wheel that should stand.  If the other
-    wheels disagree, one more is wrong.  Most wheels may deviate by a load or a delay instead.
+    ``_ENCODERS`` for more.  Encoders that read different shares of their commands share no cause:
+    ``_PUSHED`` more for each further share, and for each further wheel that should stand.  If the
+    other wheels disagree, one more is wrong.  Most wheels may deviate by a load or a delay instead.
 4.  The readings are right, and the wheels slide: the robot is held or pulled.  Price ``_SLIDING``.
     Its twist is the fit of all wheels with a standard deviation that follows from the wheel that
     deviates most, by d = |1 - z / c|: d v / 2 if all wheels deviate, where v is the speed of the
@@ -106,6 +107,10 @@ _COMMON_LAG_UNCONFIRMED: Final = 0.03
 """The same for wheels whose speeds no other wheel confirms: the error goes unseen."""
 _OVERSHOOT: Final = 0.1
 """Share of its command by which a motor exceeds it, or turns backwards."""
+_EQUAL_SHARES: Final = 0.1
+"""Largest difference between the shares of their commands that encoders with one cause read."""
+_EQUAL_READINGS: Final = 0.005
+"""Largest difference (m/s) between the readings of encoders with one cause."""
 _STANDING: Final = 0.005
 """Speed (m/s) below which a wheel stands."""
 _UNCONFIRMED: Final = 0.75
@@ -129,7 +134,8 @@ _ONE_ENCODER: Final = 5.0
 _ENCODERS: Final = 10.0
 """Price of several wrong encoders, and of one whose deviation a load may explain."""
 _PUSHED: Final = 5.0
-"""Price of each further wheel that turns although it should stand."""
+"""Price of each further share that wrong encoders read, or wheel that turns although it should
+stand."""
 _SLIDING: Final = 9.0
 """Price of wheels that slide: as likely as encoders that are wrong together."""
 _RADII: Final = 16.0
@@ -215,11 +221,13 @@ class Fits(NamedTuple):
         if not speeds:
             return fit, self.misfit(fit)
         for k in wheels:
-            fit = add_rolling_speed(fit, k, speeds[k], following_error(speeds[k]) ** 2)
+            # The contact slips too, in particular that of a wheel that skids.
+            variance = following_error(speeds[k]) ** 2 + fit.measurements[k][7]
+            fit = add_rolling_speed(fit, k, speeds[k], variance)
         disagreement = self.misfit(fit)
         for k in wheels:
-            error = (speeds[k] - rolling_speed(fit, k)) / following_error(speeds[k])
-            disagreement += error * error
+            variance = following_error(speeds[k]) ** 2 + fit.measurements[k][7]
+            disagreement += (speeds[k] - rolling_speed(fit, k)) ** 2 / variance
         return fit, disagreement
 
     def misfit(self, fit: Fit) -> float:
@@ -239,12 +247,14 @@ class Contradiction(NamedTuple):
     - ``wheels``: indices of the measurements of these wheels, N.
     - ``commands``: commanded rolling speed (m/s) of the contact of each measured wheel, or empty if
       the commands are unknown.
+    - ``causes``: least number of causes that the encoders of N have, if they are wrong.
     - ``pushed``: number of wheels that turn, as others confirm, although they should stand.
     - ``doubtful``: ``True`` if no load, delay or push explains the deviations.
     """
 
     wheels: tuple[int, ...]
     commands: Sequence[float]
+    causes: int
     pushed: int
     doubtful: bool
 
@@ -260,11 +270,13 @@ def contradiction(
     """
     if not turning:
         standing = [k for k in encoders(measurements) if abs(measurements[k][5]) < _STANDING]
-        return Contradiction(tuple(standing), (), 0, False)
+        return Contradiction(tuple(standing), (), 1, 0, False)
     wheels: list[int] = []
+    shares: list[float] = []
+    readings: list[float] = []
     pushed, doubtful, highest, lowest = 0, False, -math.inf, math.inf
     common = _COMMON_LAG
-    untested = stops = False
+    untested, stops, alike = False, False, True
     every = encoders(measurements)
     for k in every:
         measured, command = turning[k]
@@ -282,18 +294,29 @@ def contradiction(
         if abs(command) <= _COMMANDED_SPEED:
             pushed += confirmed
             stops = True
+            alike = alike and abs(measured - turning[every[0]][0]) < FOLLOWING_FLOOR
             continue
         doubtful = doubtful or abs(share - 1.0) > _DOUBTFUL
+        if confirmed:
+            _add_distinct(shares, share, _EQUAL_SHARES)
+            _add_distinct(readings, measured, _EQUAL_READINGS)
     commands = [
         # The contact of a wheel beside its steering axis also moves with the steering joint.
         m[5] + command - measured
         for m, (measured, command) in zip(measurements, turning, strict=True)
     ]
+    causes = max(pushed + min(len(shares), len(readings)), 1)
     doubtful = doubtful or highest - lowest > common
-    # A push turns all wheels.  Nothing confirms a single one.
-    if untested and (len(every) == 1 or (stops and len(wheels) < len(every))):
+    # A push turns all wheels, and two wheels alike.  Nothing confirms a single one.
+    no_push = len(wheels) < len(every) or not (pushed or alike)
+    if untested and (len(every) == 1 or (stops and no_push)):
         doubtful = True
-    return Contradiction(tuple(wheels), commands, pushed, doubtful)
+    return Contradiction(tuple(wheels), commands, causes, pushed, doubtful)
+
+
+def _add_distinct(values: list[float], value: float, tolerance: float) -> None:
+    if all(abs(value - other) > tolerance for other in values):
+        values.append(value)
 
 
 class CauseSearch:
@@ -358,22 +381,17 @@ class CauseSearch:
                 hypotheses += self._one_more_wrong(single, known, visited)
         if may_slide:
             sliding = self._sliding(measurements, fit)
-            if self._gyro_slip and not self._against.wheels:
+            best = min(hypotheses, key=_cost)
+            wheels = {*self._against.wheels}
+            if self._gyro_slip and not (wheels and wheels <= {*best.wrong}):
                 # Wrong wheels explain by accident that few wheels and a gyro disagree.
-                most = min(h.cost for h in hypotheses) + _NEGLIGIBLE
-                sliding = sliding._replace(cost=min(sliding.cost, most))
+                sliding = sliding._replace(cost=min(sliding.cost, best.cost + _NEGLIGIBLE))
             hypotheses.append(sliding)
         hypotheses.sort(key=_cost)
         best = hypotheses[0]
         if best.worst_ratio > 2.0:  # twice the gate has about the square of the gate's probability
             return []
-        likely = [h for h in hypotheses if h.cost <= best.cost + _NEGLIGIBLE]
-        every = encoders(measurements)
-        if self._against.commands and any(2 * len(h.wrong) >= len(every) for h in likely):
-            # Nothing confirms the encoders of a minority: the errors of all may be small.
-            last = self._encoders_wrong(every, measurements, 0.0)
-            likely.append(last._replace(cost=best.cost + _NEGLIGIBLE))
-        return likely
+        return [h for h in hypotheses if h.cost <= best.cost + _NEGLIGIBLE]
 
     # -- hypothesis 3 -------------------------------------------------------------------
 
@@ -391,7 +409,7 @@ class CauseSearch:
                 return []
         alone = len(wheels) == 1 and self._against.doubtful
         price = _ONE_ENCODER if alone else _ENCODERS
-        price += _PUSHED * max(self._against.pushed - 1, 0)
+        price += _PUSHED * (self._against.causes - 1)
         hypotheses = [self._encoders_wrong(wheels, measurements, price)]
         if hypotheses[0].worst_ratio > 1.0:
             price += self._price
