@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 import shutil
 import subprocess
 import sys
@@ -224,14 +223,31 @@ def test_leg_has_the_estimated_mass(tmp_path: Path) -> None:
     assert sum(link.inertial.mass for link in leg if link.inertial) == pytest.approx(18.04)
 
 
-def test_module_of_the_readme_works(tmp_path: Path) -> None:
-    """The wheel has no parameters: the legs read its radius from its section `wheel`."""
-    text = (MODULES / "README.md").read_text()
-    example = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
-    assert example is not None
+BIG_WHEEL = """\
+thorvaldc: 1
+description: Wheel of 0.4 m with a flotation tyre.
+mount: {kinds: [drive_flange], link: tyre}
+links:
+  tyre:
+    parts:
+      - {shape: {mesh: {file: meshes/tyre.stl}}, color: tyre}
+      - shape: {cylinder: {radius: 0.4, length: 0.3}}
+        rpy: [90 deg, 0, 0]
+        show: false
+        collide: true
+        mass: 19 kg
+        source: "datasheet: tyre 14 kg, rim 5 kg"
+wheel:
+  {link: tyre, radius: 0.4, width: 0.3, friction: 0.8, rolling_resistance: 0.03,
+   source: "datasheet: tyre"}
+"""
+
+
+def test_a_wheel_without_parameters_works(tmp_path: Path) -> None:
+    """The legs read its radius from its section `wheel`."""
     module_folder = tmp_path / "my_modules" / "wheel" / "big_400"
     shutil.copytree(MODULES / "wheel" / "agri_200" / "meshes", module_folder / "meshes")
-    (module_folder / "module.yaml").write_text(example[1])
+    (module_folder / "module.yaml").write_text(BIG_WHEEL)
     assert not list(check_library(tmp_path / "my_modules").report)
     modules = on_four({"type": "assembly/steered_drive", "params": {"wheel": "wheel/big_400"}})
     modules["base"]["params"] = {"length": "1.6 m", "width": "1.4 m"}
