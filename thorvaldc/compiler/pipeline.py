@@ -39,7 +39,12 @@ from thorvaldc.compiler.result import Compilation, Compile, SourceFile, read_acc
 from thorvaldc.compiler.robot_checks import check_purpose, check_robot
 from thorvaldc.compiler.robot_settings.robot_sections import check_calculator, read_design
 from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
-from thorvaldc.compiler.source.input_file import FOLDERS, check_no_link_outside, missing_file_hint
+from thorvaldc.compiler.source.input_file import (
+    FOLDERS,
+    check_no_link_outside,
+    missing_file_hint,
+    unsaved_texts,
+)
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.overrides import Change, read_changes
 from thorvaldc.compiler.source.reader import MAX_BYTES, read_file
@@ -55,10 +60,14 @@ if TYPE_CHECKING:
 
 
 MODEL_FILE = "model.json"
+TEXT_FILE = "document.yaml"
+"""Name in messages of a document without a file; its paths begin in the working folder."""
+Source = Path | str | Mapping[str, object]
+"""Path of a file, text of a document (several lines), or a document as a mapping."""
 
 
 def compile_file(
-    path: Path | str,
+    path: Source,
     *,
     library: Sequence[Path | str] = (),
     robot: Path | str | None = None,
@@ -73,7 +82,7 @@ def compile_file(
 
     Parameters
     ----------
-    path : path of the file.
+    path : path of the file, the text of a document, or a document as a mapping of Python.
     library : additional library folders with module types.
     robot : path of a robot or fleet file.  The robots of the file replace the robots of a
         scenario.
@@ -91,7 +100,10 @@ def compile_file(
     """
     if isinstance(library, str | os.PathLike):
         raise TypeError(f"library: expected a list of folders, got {library!r}")
-    path = Path(path)
+    if (text := _text_of(path)) is not None:
+        with unsaved_texts({os.path.realpath(TEXT_FILE): text}):
+            return compile_file(TEXT_FILE, library=library, robot=robot, set=set, trust=trust)
+    path = Path(path)  # type: ignore[arg-type]
     source = SourceFile(path, path.name or str(path), path.parent)
     changes = read_changes(set or {})
     own = tuple(c for c in changes if source.kind == "robot" or not _is_of_robots(c, source.kind))
@@ -111,6 +123,15 @@ def compile_file(
         if source.kind not in ("robot", "fleet"):
             return _compile_document_of_tool(source, compile_one)
         return compile_one(source)
+
+
+def _text_of(source: Source) -> bytes | None:
+    """Returns the text of a document without a file, or ``None`` for a path."""
+    if isinstance(source, Mapping):
+        import json
+
+        return json.dumps(source, indent=1).encode()  # which is YAML
+    return source.encode() if isinstance(source, str) and "\n" in source else None
 
 
 @contextmanager
@@ -380,7 +401,7 @@ class CompileError(Exception):
 
 
 def load(
-    path: Path | str,
+    path: Source,
     *,
     library: Sequence[Path | str] = (),
     set: Mapping[str, object] | None = None,
@@ -394,7 +415,7 @@ def load(
 
     Parameters
     ----------
-    path : path of the file.
+    path : path of the file, the text of a document, or a document as a mapping of Python.
     library : folders with module types, beside the project's library and the folders that the
         file names.
     set : new values by their dotted paths, see ``compile``.
@@ -418,7 +439,7 @@ def load(
 
 
 def load_fleet(
-    path: Path | str,
+    path: Source,
     *,
     library: Sequence[Path | str] = (),
     set: Mapping[str, object] | None = None,
@@ -430,7 +451,7 @@ def load_fleet(
 
     Parameters
     ----------
-    path : path of the file.
+    path : path of the file, the text of a document, or a document as a mapping of Python.
     library : folders with module types, beside the project's library and the folders that the
         files name.
     set : new values by their dotted paths, see ``compile``.
@@ -453,7 +474,7 @@ def load_fleet(
 
 
 def _load(
-    path: Path | str,
+    path: Source,
     library: Sequence[Path | str],
     set: Mapping[str, object] | None,
     trust: bool,
@@ -461,12 +482,12 @@ def _load(
     from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.model.model_json import is_model_file, load_model
 
-    path = Path(path)
-    if is_model_file(path) or path.name == MODEL_FILE:
+    file = Path(path) if isinstance(path, (Path, str)) and _text_of(path) is None else None
+    if file is not None and (is_model_file(file) or file.name == MODEL_FILE):
         if set:
-            raise ValueError(f"{path} is a compiled model; change the values of its robot file")
+            raise ValueError(f"{file} is a compiled model; change the values of its robot file")
         try:
-            return load_model(path)
+            return load_model(file)
         except DiagnosticError as error:
             raise _compile_error([error.diagnostic], {}) from error
     compilation = compile_file(path, library=library, set=set, trust=trust)
@@ -487,12 +508,13 @@ def _compile_error(
     return CompileError(f"{count} error{'' if count == 1 else 's'}\n{text}", report.sorted())
 
 
-def _other_model(path: Path | str, content: str, expected: str, function: str) -> CompileError:
+def _other_model(source: Source, content: str, expected: str, function: str) -> CompileError:
     report = Report()
+    name = TEXT_FILE if isinstance(source, Mapping) or _text_of(source) else os.fspath(source)
     report.add(
         "other-document",
         f"expected {expected}, got {content}",
-        Span(os.fspath(path)),
+        Span(name),
         hint=f"{function}() reads this file",
     )
     return _compile_error(report, {})

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 
 from thorvaldc.compiler.pipeline import CompileError, compile_file, load, load_fleet
 
@@ -75,3 +76,16 @@ def test_a_compiled_model_has_no_paths(tmp_path: Path) -> None:
         load(tmp_path / "model.json", set={"name": "x"})
     with pytest.raises(CompileError):
         load(WIDE, set={"name": [1]})
+
+
+def test_a_document_may_be_a_text_or_a_mapping() -> None:
+    document = yaml.safe_load(WIDE.read_text(encoding="utf-8"))
+    robot = load(WIDE, set={"driver.rate": "20 Hz"})
+    for source in (WIDE.read_text(encoding="utf-8"), document):
+        other = load(source, set={"driver.rate": "20 Hz"})
+        assert [w.y for w in other.wheels] == [w.y for w in robot.wheels]
+        assert (other.inertial.mass, other.driver) == (robot.inertial.mass, robot.driver)
+    with pytest.raises(CompileError, match=r"document\.yaml:\d+:\d+: error\[TV211\]"):
+        load({**document, "driver": {"rate": "5 kg"}})
+    with pytest.raises(CompileError, match="expected a fleet, got a robot"):
+        load_fleet(document)
