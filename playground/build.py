@@ -54,7 +54,8 @@ UNUSED = re.compile(
     r"|simulation/(bus|records)"
     r"|runtime/can_base"
     r"|tools/(?!__init__|preview/(__init__|compiled_robot|page_drive)"
-    r"|language_server/(__init__|code_completion|hover|module_references|module_view|open_document))"
+    r"|language_server/(__init__|code_completion|cursor|hover|module_references|module_view"
+    r"|open_document))"
     r"|_data/templates/(view|preview|study)|.*\.pyi$|.*/?py\.typed$|_data/modules/.*\.(md|png)$)"
 )
 """Files of the package that no robot in a browser needs."""

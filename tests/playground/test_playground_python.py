@@ -6,6 +6,8 @@ import base64
 import importlib.util
 import io
 import json
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 from types import ModuleType
@@ -239,3 +241,19 @@ def test_the_page_offers_every_target() -> None:
     assert {*json.loads(script.partition("const TARGETS = ")[2].partition(";")[0])} == {
         *backends.names()
     }
+
+
+def test_the_page_has_the_modules_that_it_loads() -> None:
+    code = "import sys, playground; print(*(n for n in sys.modules if n.startswith('thorvaldc.')))"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code],
+        env={"PYTHONPATH": f"{ROOT / 'playground'}:{':'.join(filter(None, sys.path))}"},
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.split()
+    assert len(loaded) > 50
+    unused = module("build").UNUSED
+    files = [name.replace(".", "/") for name in loaded]
+    paths = [f"{f}.py" if (ROOT / f"{f}.py").is_file() else f"{f}/__init__.py" for f in files]
+    assert [path for path in paths if unused.match(path)] == []
