@@ -38,6 +38,7 @@ RUNTIME_MODULES = (
     "runtime/base_interface",
     "runtime/calculators/base_geometry",
     "runtime/calculators/twist_fit",
+    "runtime/calculators/wheel_contradictions",
     "runtime/calculators/wheel_causes",
     "runtime/calculators/wheel_mixture",
     "runtime/calculators/twist_estimator",

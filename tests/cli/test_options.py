@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 import typer
 
-from tests.cli.conftest import Command
+from tests.cli.conftest import GOOD, Command
 from thorvaldc.cli.options import parse_duration, parse_time
 
 
@@ -56,3 +57,26 @@ def test_a_value_of_the_file_is_replaced(thorvaldc: Command, command: str) -> No
         assert fresh.status == 0
         stale = thorvaldc(*arguments, "--check")
         assert stale.status == 1
+
+
+def test_a_value_is_set_once(thorvaldc: Command) -> None:
+    settings = ("--set", "driver.rate=20 Hz", "--set", "driver.rate=50 Hz")
+    twice = thorvaldc("check", "good.yaml", *settings)
+    assert twice.status == 2
+    assert "driver.rate is set twice" in twice.err
+
+
+AUTOMATIC = re.sub(r", can: \d", "", GOOD)
+"""The ids of the nodes are automatic: hardware has those of the lock file."""
+
+
+def test_the_ids_of_a_robot_with_other_values_are_not_pinned(thorvaldc: Command) -> None:
+    Path("good.yaml").write_text(AUTOMATIC)
+    lock = Path("good.lock.yaml")
+    without = ("build", "good.yaml", "-t", "can", "--set", "modules.rr.type=assembly/fixed_drive")
+    assert thorvaldc(*without).status == 0
+    assert not lock.exists()
+    assert thorvaldc("build", "good.yaml", "-t", "can").status == 0
+    pinned = lock.read_bytes()
+    assert thorvaldc(*without).status == 0
+    assert lock.read_bytes() == pinned

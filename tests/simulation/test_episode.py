@@ -137,6 +137,24 @@ def test_a_world_of_a_program_is_that_of_the_scene() -> None:
     assert 1.0 < sample.pose_true.x < 2.9
 
 
+def test_what_is_no_model_is_named(tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match="expected a Robot, Fleet or Scenario, got NoneType"):
+        Episode(None)  # type: ignore[arg-type]
+    (tmp_path / "robot.yaml").write_text("thorvaldc: 1\n", encoding="utf-8")
+    with pytest.raises(DiagnosticError, match=r"robot\.yaml is no folder of a build"):
+        Episode(tmp_path / "robot.yaml")
+    with pytest.raises(DiagnosticError, match="neither a twist nor segments"):
+        Simulation(ROBOT).run(1.0, "forward")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("until", [math.nan, math.inf])
+def test_a_run_must_have_an_end(until: float) -> None:
+    episode = Episode(ROBOT, ideal=True)
+    episode.reset()
+    with pytest.raises(DiagnosticError, match="never ends"):
+        episode.run(until)
+
+
 def test_an_episode_must_be_started() -> None:
     with pytest.raises(DiagnosticError, match="reset it first"):
         Episode(ROBOT, ideal=True).step(Twist(0.1, 0.0, 0.0))

@@ -133,6 +133,7 @@ def test_wrong_options_are_usage_errors(thorvaldc: Command, scenario: Path) -> N
         [str(scenario), "--set", "world.friction"],
         [str(scenario), "--set", "world.friction="],
         [str(scenario), *several, "--plot", "x.png"],
+        [str(scenario), *(f"--set={path}={'1,' * 1000}1" for path in ("noise.seed", "duration"))],
         [str(scenario), *several, "--jobs", "none"],
         [str(scenario), *several, "-o", "x.txt"],
     ):

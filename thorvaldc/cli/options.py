@@ -388,13 +388,13 @@ def check_physics(physics: str) -> None:
         )
 
 
-def new_values(settings: Sequence[str]) -> dict[str, object]:
+def new_values(settings: Sequence[str]) -> dict[str, Node]:
     """Returns the values of the options ``--set`` by their paths, for ``compile_file``."""
     if not settings:
         return {}
     from thorvaldc.compiler.source.overrides import parse_change
 
-    return dict(parsed(text, parse_change, "--set") for text in settings)
+    return _by_path(settings, parse_change)
 
 
 def choices(settings: Sequence[str]) -> dict[str, tuple[Node, ...]]:
@@ -403,7 +403,17 @@ def choices(settings: Sequence[str]) -> dict[str, tuple[Node, ...]]:
         return {}
     from thorvaldc.compiler.source.overrides import parse_choices
 
-    return dict(parsed(text, parse_choices, "--set") for text in settings)
+    return _by_path(settings, parse_choices)
+
+
+def _by_path(settings: Sequence[str], parse: Callable[[str], tuple[str, T]]) -> dict[str, T]:
+    values: dict[str, T] = {}
+    for text in settings:
+        path, value = parsed(text, parse, "--set")
+        if path in values:
+            raise typer.BadParameter(f"{path} is set twice", param_hint="'--set'")
+        values[path] = value
+    return values
 
 
 def library_folders(names: Sequence[str], option: str = "'--library'") -> list[Path]:

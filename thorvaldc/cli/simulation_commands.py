@@ -141,7 +141,7 @@ def scenario(
     if output or any(len(values) > 1 for values in choices.values()):
         of_one_run = {"--parameters": parameters, "--junit": junit, "--record": record}
         of_one_run |= {"--log": log, "--plot": plot, "--video": video}
-        options.refuse_options(of_one_run, "these are several runs")
+        options.refuse_options(of_one_run, "not with several values or --output")
         from thorvaldc.simulation.scenario_sweep import Sweep
 
         folders = options.library_folders(library)
@@ -157,6 +157,7 @@ def scenario(
     return _run_scenario(compilation, compilation.scenario, outputs, parameters, json, junit)
 
 
+MAX_RUNS = 100_000
 SHOWN_FAILURES = 10
 """Largest number of failed runs of a sweep whose diagnostics are printed."""
 
@@ -177,6 +178,9 @@ def _sweep(sweep: Sweep, process_count: int | None, output: str, json: bool) -> 
         return show_report(compilation.report, compilation.sources)
     if compilation.scenario is None:
         raise typer.BadParameter(f"{sweep.scenario} is no scenario", param_hint="SCENARIO")
+    if len(sweep) > MAX_RUNS:
+        reason = f"these are {len(sweep)} runs; there must be at most {MAX_RUNS}"
+        raise typer.BadParameter(reason, param_hint="'--set'")
     with write_errors(output):
         file = ResultFile(Path(output)) if output else None
     runs = _runs_of(sweep, process_count or processors(), file, json)

@@ -305,7 +305,10 @@ class Journal:
 
     def _plan(self, record: dict[str, Any], number: int) -> Plan:
         if record["format"] != FORMAT or record["version"] != VERSION:
-            raise self._unreadable(f"line {number} has another format or version")
+            raise self._unreadable(
+                f"line {number} has the format `{record['format']}`, version {record['version']};"
+                f" this program reads `{FORMAT}`, version {VERSION}"
+            )
         plan = plan_from_json(record["plan"])
         if plan.hash != record["hash"] or record["mode"] not in (APPLY, RESUME, ROLLBACK):
             raise self._unreadable(f"the plan in line {number} was changed by hand")

@@ -361,14 +361,16 @@ def update_robot_lock(source: SourceFile, robot: Robot, compilation: Compilation
     """Returns the new text of the lock file, or ``""`` if the robot needs no lock file.
 
     If the new text differs from the lock file on the disk, the new text is added to
-    ``compilation.locks``.
+    ``compilation.locks``; but not that of a robot with other values than its file: the ids of
+    the file are in hardware.
     """
     path = lock_path(source.path)
     was_read = os.path.normpath(path) in compilation.sources
     if not was_read and not has_pins(robot):
         return ""
     text = lock_text(robot, source.path.name)
-    if not was_read or read_bounded(path, MAX_BYTES + 1, cut=True) != text.encode():
+    is_new = not was_read or read_bounded(path, MAX_BYTES + 1, cut=True) != text.encode()
+    if is_new and not source.changes:
         compilation.locks[path] = text
     return text
 

@@ -101,7 +101,15 @@ class Episode:
         """
         if isinstance(model, (Path, str)):
             files = Path(model)
+            if not files.is_dir():
+                raise DiagnosticError(
+                    "simulation-scene",
+                    f"{files} is no folder of a build",
+                    hint="build it with --target mjcf, or give the model: thorvaldc.load(FILE)",
+                )
             model = load_model(files)
+        elif not isinstance(model, (Robot, Fleet, Scenario)):
+            raise TypeError(f"expected a Robot, Fleet or Scenario, got {type(model).__name__}")
         elif files is not None:
             _check_files(model.fleet if isinstance(model, Scenario) else model, files)
         self.scenario = model if isinstance(model, Scenario) else None
@@ -311,8 +319,11 @@ class Episode:
     ) -> None:
         """Runs all control cycles until the time ``until`` (s), included.
 
-        A divergence ends it, and with ``ends_with_a_fall`` also a robot that falls over.
+        A divergence ends it, and with ``ends_with_a_fall`` also a robot that falls over.  Raises
+        ``DiagnosticError`` if the time is not finite.
         """
+        if not math.isfinite(until):
+            raise DiagnosticError("twist-invalid", f"a run until {until:g} s never ends")
         while (loop := self.due(until)) is not None:
             self.tick(loop)
             if on_tick is not None:
@@ -440,7 +451,11 @@ def manoeuvre_of(motion: Motion) -> Manoeuvre:
     parts: Sequence[Any] = motion
     if len(parts) == 3 and not isinstance(parts[0], Sequence):
         return [Segment(0.0, twist_of(parts))]
-    manoeuvre = [Segment(float(start), twist_of(twist)) for start, twist in parts]
+    try:
+        manoeuvre = [Segment(float(start), twist_of(twist)) for start, twist in parts]
+    except (TypeError, ValueError):
+        message = f"{motion!r} is neither a twist nor segments (start in s, twist)"
+        raise DiagnosticError("twist-invalid", message) from None
     last = -math.inf
     for start, _ in manoeuvre:
         if not math.isfinite(start):

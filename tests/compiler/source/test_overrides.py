@@ -35,6 +35,8 @@ def test_values_of_python_are_those_of_yaml() -> None:
     assert "second" in {sensor.module for sensor in robot.sensors}
     with pytest.raises(TypeError, match=r"--set modules\.io\.can: expected a text, a number"):
         load(WIDE, set={"modules.io.can": object()})
+    with pytest.raises(TypeError, match="set: expected values by their paths"):
+        load(WIDE, set=["modules.io.can=21"])  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.model.statics.slope import SlopeStatics
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs, robot_text
-from thorvaldc.tools.study.study_compilation import with_replaced_values
+from thorvaldc.tools.study.design_text import with_replaced_values
 from thorvaldc.tools.study.study_definition import designs_of
 from thorvaldc.tools.study.study_results import StudyTable, front
 from thorvaldc.tools.study.study_run import StudyJournal, StudyRun

@@ -39,6 +39,10 @@ def read_changes(values: Mapping[str, object]) -> tuple[Change, ...]:
     A value is a text with a unit, a number, a truth value, a list, a mapping, or a ``Node``.
     Raises ``TypeError`` for another value.
     """
+    if not isinstance(values, Mapping):
+        raise TypeError(
+            f"set: expected values by their paths such as {{'name': 'x'}}, got {values!r}"
+        )
     return tuple(
         Change(path, value if isinstance(value, Node) else _node(value, Span(SETTING + path)))
         for path, value in values.items()

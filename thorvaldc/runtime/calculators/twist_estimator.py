@@ -31,7 +31,7 @@ from typing import Final, NamedTuple
 from thorvaldc.model.spatial import symmetric_eigenvalues
 from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates, NotFiniteError
-from thorvaldc.runtime.calculators import wheel_causes, wheel_mixture
+from thorvaldc.runtime.calculators import wheel_causes, wheel_contradictions, wheel_mixture
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.twist_fit import (
     ROLL_AND_SIDE,
@@ -179,7 +179,7 @@ class TwistEstimator:
         self.gates = tuple(gate2 if w.flags == ROLL_AND_SIDE else gate1 for w in wheels)
         self._price = gate1
         largest_radius = max((w.radius for w in wheels if w.radius), default=1.0)
-        self.least_deviation = wheel_causes.FOLLOWING_FLOOR / largest_radius
+        self.least_deviation = wheel_contradictions.FOLLOWING_FLOOR / largest_radius
         self._all_measure = len(wheels) == self._n
         self._skids = bool(skids)
         self.inverse = self._constant_inverse()
@@ -523,7 +523,7 @@ class TwistEstimator:
             for w in self.wheels:
                 i = w.number
                 turning.append((w.radius * states.speeds[i], w.radius * commanded[i]))
-        against = wheel_causes.contradiction(fit, measurements, turning)
+        against = wheel_contradictions.contradiction(fit, measurements, turning)
         if not (disagree or against.doubtful):
             return self._result(fit, tests, rank, yaw_rate)
         fits = wheel_causes.Fits(

@@ -55,8 +55,8 @@ most 1 / w, below the 99.9 % quantile 16.3 of the chi-square distribution with 3
 
 Wheels that agree may still contradict their commands: all of them, or wheels that no other wheel
 confirms.  Hypotheses 3 and 4 are then added to the covariance, unless a load or a delay may explain
-the deviation: all wheels read nearly the same share of their commands, between 1 - ``_DOUBTFUL``
-and 1 + ``_DOUBTFUL``; wheels that no other wheel confirms, or that skid, must read more nearly the
+the deviation: all wheels read nearly the same share of their commands, between 1 - ``DOUBTFUL``
+and 1 + ``DOUBTFUL``; wheels that no other wheel confirms, or that skid, must read more nearly the
 same.  Nothing confirms a single wheel.  A push is no contradiction if all wheels turn, or if the
 wheels that stand would fail a test.
 
@@ -83,38 +83,21 @@ from thorvaldc.runtime.calculators.twist_fit import (
     compare_with_others,
     fit_twist,
     misfit,
-    rolling_leverage,
     rolling_speed,
     unweighted_normal_equations,
+)
+from thorvaldc.runtime.calculators.wheel_contradictions import (
+    COMMANDED_SPEED,
+    DOUBTFUL,
+    Contradiction,
+    encoders,
+    following_error,
 )
 from thorvaldc.runtime.calculators.wheel_mixture import Hypothesis, covering, with_covariance
 from thorvaldc.runtime.se2 import Row3
 
-_FOLLOWING: Final = 0.03
-"""Error of a wheel that follows its command, relative to the commanded speed."""
-FOLLOWING_FLOOR: Final = 0.015
-"""Error (m/s) of a wheel that follows its command, in addition to the relative error.
-
-A wheel that accelerates by 0.75 m/s^2 is so much slower than its command of the last tick.
-"""
-_COMMANDED_SPEED: Final = 0.05
-"""Commanded speed (m/s) from which a reading is a share of the command."""
-_DOUBTFUL: Final = 0.4
-"""Deviation from the command, relative to the command, that no load or delay explains."""
-_COMMON_LAG: Final = 0.1
-"""Largest difference of the shares of their commands that wheels with a common lag reach."""
-_COMMON_LAG_UNCONFIRMED: Final = 0.03
-"""The same for wheels whose speeds no other wheel confirms: the error goes unseen."""
 _OVERSHOOT: Final = 0.1
 """Share of its command by which a motor exceeds it, or turns backwards."""
-_EQUAL_SHARES: Final = 0.1
-"""Largest difference between the shares of their commands that encoders with one cause read."""
-_EQUAL_READINGS: Final = 0.005
-"""Largest difference (m/s) between the readings of encoders with one cause."""
-_STANDING: Final = 0.005
-"""Speed (m/s) below which a wheel stands."""
-_UNCONFIRMED: Final = 0.75
-"""Share of a measured speed in its own estimate from which no other wheel confirms it."""
 _DRAGGED: Final = 0.1
 """Standard deviation (m/s) of the speed of a robot that is dragged on wheels that should stand.
 
@@ -157,11 +140,6 @@ _LEAST_WEIGHT_WRONG: Final = 0.1
 """The same for wrong wheels, within 3.2 sigma: healthy wheels exceed their gates by chance."""
 _PAIR_SEEDS: Final = 3
 """Number of the most likely single wrong wheels that the search extends to pairs of wheels."""
-
-
-def following_error(speed: float) -> float:
-    """Returns the largest error (m/s) of a wheel that follows its commanded speed (m/s)."""
-    return FOLLOWING_FLOOR + _FOLLOWING * abs(speed)
 
 
 class Fits(NamedTuple):
@@ -239,84 +217,6 @@ class Fits(NamedTuple):
         if self.yaw_rate is None:
             return 0.0
         return (self.yaw_rate - fit.wz) ** 2 / self.squares[5]
-
-
-class Contradiction(NamedTuple):
-    """Wheels that contradict their commands.
-
-    - ``wheels``: indices of the measurements of these wheels, N.
-    - ``commands``: commanded rolling speed (m/s) of the contact of each measured wheel, or empty if
-      the commands are unknown.
-    - ``causes``: least number of causes that the encoders of N have, if they are wrong.
-    - ``pushed``: number of wheels that turn, as others confirm, although they should stand.
-    - ``doubtful``: ``True`` if no load, delay or push explains the deviations.
-    """
-
-    wheels: tuple[int, ...]
-    commands: Sequence[float]
-    causes: int
-    pushed: int
-    doubtful: bool
-
-
-def contradiction(
-    fit: Fit, measurements: Sequence[Measurement], turning: Sequence[tuple[float, float]]
-) -> Contradiction:
-    """Returns the wheels that contradict their commands; without commands, those that stand.
-
-    - ``fit``: fitted twist with all measurements.
-    - ``turning``: measured and commanded speed (m/s) of each measured wheel, or empty if the
-      commands are unknown.
-    """
-    if not turning:
-        standing = [k for k in encoders(measurements) if abs(measurements[k][5]) < _STANDING]
-        return Contradiction(tuple(standing), (), 1, 0, False)
-    wheels: list[int] = []
-    shares: list[float] = []
-    readings: list[float] = []
-    pushed, doubtful, highest, lowest = 0, False, -math.inf, math.inf
-    common = _COMMON_LAG
-    untested, stops, alike = False, False, True
-    every = encoders(measurements)
-    for k in every:
-        measured, command = turning[k]
-        follows = abs(measured - command) <= following_error(command)
-        share = measured / command if abs(command) > _COMMANDED_SPEED and not follows else 1.0
-        highest, lowest = max(highest, share), min(lowest, share)
-        if follows:
-            continue
-        wheels.append(k)
-        confirmed = rolling_leverage(fit, k) <= _UNCONFIRMED
-        if not (confirmed and measurements[k][0] & TEST_ROLL):
-            untested, common = True, _COMMON_LAG_UNCONFIRMED
-            rolls = rolling_speed(fit, k)
-            doubtful = doubtful or abs(measured - rolls) > following_error(rolls)
-        if abs(command) <= _COMMANDED_SPEED:
-            pushed += confirmed
-            stops = True
-            alike = alike and abs(measured - turning[every[0]][0]) < FOLLOWING_FLOOR
-            continue
-        doubtful = doubtful or abs(share - 1.0) > _DOUBTFUL
-        if confirmed:
-            _add_distinct(shares, share, _EQUAL_SHARES)
-            _add_distinct(readings, measured, _EQUAL_READINGS)
-    commands = [
-        # The contact of a wheel beside its steering axis also moves with the steering joint.
-        m[5] + command - measured
-        for m, (measured, command) in zip(measurements, turning, strict=True)
-    ]
-    causes = max(pushed + min(len(shares), len(readings)), 1)
-    doubtful = doubtful or highest - lowest > common
-    # A push turns all wheels, and two wheels alike.  Nothing confirms a single one.
-    no_push = len(wheels) < len(every) or not (pushed or alike)
-    if untested and (len(every) == 1 or (stops and no_push)):
-        doubtful = True
-    return Contradiction(tuple(wheels), commands, causes, pushed, doubtful)
-
-
-def _add_distinct(values: list[float], value: float, tolerance: float) -> None:
-    if all(abs(value - other) > tolerance for other in values):
-        values.append(value)
 
 
 class CauseSearch:
@@ -405,7 +305,7 @@ class CauseSearch:
         if len(wheels) > len(others) and commands:
             # A load or a delay makes most wheels slower, each by its own share in a turn.
             speeds = [(measurements[k][5], commands[k]) for k in wheels]
-            if all(abs(z - c) <= _DOUBTFUL * abs(c) for z, c in speeds):
+            if all(abs(z - c) <= DOUBTFUL * abs(c) for z, c in speeds):
                 return []
         alone = len(wheels) == 1 and self._against.doubtful
         price = _ONE_ENCODER if alone else _ENCODERS
@@ -455,7 +355,7 @@ class CauseSearch:
         for k in wheels:
             measured = measurements[k][5]
             command = commands[k] if commands else fastest
-            if abs(command) <= _COMMANDED_SPEED:
+            if abs(command) <= COMMANDED_SPEED:
                 sigma = max(sigma, abs(measured - command) / 2.0 + _DRAGGED)
                 continue
             share = measured / command
@@ -603,11 +503,6 @@ class CauseSearch:
             if k not in others:
                 ratios.append(d / gate)
         return max(ratios)
-
-
-def encoders(measurements: Sequence[Measurement]) -> tuple[int, ...]:
-    """Returns the indices of the measurements with an encoder that the fit may use."""
-    return tuple(k for k, m in enumerate(measurements) if m[0] & USE_ROLL)
 
 
 def _cost(hypothesis: Hypothesis) -> float:

@@ -31,7 +31,8 @@ from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.masses import PurchaseFacts, purchase_of
 from thorvaldc.model.facts.robot_facts import fact_quantity, fact_sections, json_value
 from thorvaldc.simulation.worker_processes import ignored_interrupts, worker_pool
-from thorvaldc.tools.study.study_compilation import PathError, fact_values, with_replaced_values
+from thorvaldc.tools.study.design_text import PathError, with_replaced_values
+from thorvaldc.tools.study.study_compilation import fact_values
 from thorvaldc.tools.study.study_definition import Design, Study
 from thorvaldc.tools.study.study_results import quantity_text
 

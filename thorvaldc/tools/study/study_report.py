@@ -30,7 +30,7 @@ from thorvaldc.simulation.pictures.render import choose_opengl_backend
 from thorvaldc.tools.study import study_definition as definition
 from thorvaldc.tools.study import study_results
 from thorvaldc.tools.study.design_evaluation import StudyInputs, robot_text
-from thorvaldc.tools.study.study_compilation import PathError, value_text
+from thorvaldc.tools.study.design_text import PathError, value_text
 from thorvaldc.tools.study.study_definition import Design, Study, Variable
 from thorvaldc.tools.study.study_results import StudyTable
 

@@ -32,7 +32,7 @@ from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.diagnostics import files
 from thorvaldc.tools.study import design_evaluation as evaluation
 from thorvaldc.tools.study import study_definition as definition
-from thorvaldc.tools.study.study_compilation import value_text
+from thorvaldc.tools.study.design_text import value_text
 from thorvaldc.tools.study.study_definition import Design, Objective, Study
 from thorvaldc.tools.study.study_results import front, objective_columns, write_table
 

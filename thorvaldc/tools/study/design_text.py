@@ -1,0 +1,114 @@
+"""The text of a robot file with other values at some paths, as a study writes it."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Iterable, Sequence
+
+from thorvaldc.compiler.source.node import Node, Value, insertion, yaml_text
+from thorvaldc.compiler.source.reader import read_text
+from thorvaldc.diagnostics import Report, Span
+
+_QUANTITY = re.compile(
+    r"[-+]?\d+(\.\d+)?(e[-+]?\d+)? [a-zA-Z%][\w/^]*( [a-zA-Z][\w/^]*)*", re.ASCII
+)
+
+
+class PathError(Exception):
+    """Exception: a path leads to no value that can be replaced."""
+
+
+def find_value(document: Node, path: str) -> tuple[Node, tuple[str, ...]]:
+    """Returns the value at a path, or the last mapping on the path and the keys that it lacks.
+
+    Raises ``PathError`` if the path continues below a single value or names no element of a list.
+    """
+    keys, node = path.split("."), document
+    for index, key in enumerate(keys):
+        if isinstance(node.value, dict):
+            if key not in node.value:
+                return node, tuple(keys[index:])
+            node = node.value[key]
+        elif isinstance(node.value, tuple):
+            if not (key.isascii() and key.isdigit() and int(key) < len(node.value)):
+                parents = ".".join(keys[:index])
+                raise PathError(f"`{parents}` is a list of {len(node.value)} and has no `{key}`")
+            node = node.value[int(key)]
+        else:
+            raise PathError(f"`{'.'.join(keys[:index])}` is a single value and has no `{key}`")
+    return node, ()
+
+
+def shared_spans(document: Node) -> set[Span]:
+    """Returns the spans of the scalars that occur several times, as aliases of an anchor."""
+    seen: set[Span] = set()
+    shared: set[Span] = set()
+    pending = [document]
+    while pending:
+        node = pending.pop()
+        if isinstance(node.value, dict):
+            pending += node.value.values()
+        elif isinstance(node.value, tuple):
+            pending += node.value
+        elif node.span in seen:
+            shared.add(node.span)
+        seen.add(node.span)
+    return shared
+
+
+def with_replaced_values(text: str, values: Iterable[tuple[str, Value]]) -> str:
+    """Returns the text of a YAML document with new values at some paths.
+
+    A missing key is added at the start of its mapping.  Raises ``PathError``, also if the text is
+    no document.
+    """
+    document = _parsed(text)
+    edits: list[tuple[Span, str]] = []
+    missing: list[tuple[str, Value]] = []
+    for path, value in values:
+        node, keys = find_value(document, path)
+        if keys:
+            missing.append((path, value))
+        else:
+            edits.append((node.span, value_text(value)))
+    text = _edited(text, edits)
+    for path, value in missing:
+        # Each addition moves the text behind it.
+        mapping, keys = find_value(_parsed(text), path)
+        if not keys or mapping.span.line == 0:
+            raise PathError(f"`{path}` cannot be added")
+        added = value_text(value)
+        for key in reversed(keys[1:]):
+            added = f"{{{key}: {added}}}"
+        proposal = insertion("", mapping, keys[0], added, is_example=False)
+        assert proposal.span is not None
+        text = _edited(text, [(proposal.span, proposal.replacements[0])])
+    return text
+
+
+def value_text(value: Value) -> str:
+    """Returns a scalar as YAML text."""
+    if isinstance(value, str) and _QUANTITY.fullmatch(value):
+        return value  # ``0.7 m``, which needs no quotes
+    return yaml_text(value)
+
+
+@functools.lru_cache(maxsize=4)
+def _parsed(text: str) -> Node:
+    """Returns the document of a text; the designs of a study replace values in the same text."""
+    document = read_text(text.encode(), "", Report())
+    if document is None:
+        raise PathError("the robot file is not a YAML document")
+    return document
+
+
+def _edited(text: str, edits: Sequence[tuple[Span, str]]) -> str:
+    starts = [0]
+    for line in text.split("\n"):
+        starts.append(starts[-1] + len(line) + 1)
+    for span, new in sorted(edits, key=lambda edit: edit[0][1:3], reverse=True):
+        start = starts[span.line - 1] + span.column - 1
+        end = starts[span.end_line - 1] + span.end_column - 1
+        text = text[:start] + new + text[end:]
+    return text
