@@ -1,8 +1,8 @@
 """Designs per second of a study, beside a plain loop over compile and simulation.
 
-The loop writes the robot file of each design, compiles the scenario and drives it, in one process.
-The study evaluates the same designs in turns with the loop, and then on two processes.  All metrics
-must be equal to the last bit.
+The loop compiles each design with ``set=`` and drives it, in one process.  The study evaluates the
+same designs in turns with the loop, and then on two processes.  All metrics must be equal to the
+last bit.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TypeVar
 
@@ -20,9 +20,10 @@ import thorvaldc
 from bench.figure import ROOT, Figure
 from thorvaldc.diagnostics import Report
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
-from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs, robot_text
-from thorvaldc.tools.study.study_definition import Design, Study
-from thorvaldc.tools.study.study_run import StudyJournal, StudyRun
+from thorvaldc.tools.study import Study
+from thorvaldc.tools.study.designs import designs_of
+from thorvaldc.tools.study.evaluation import DesignEvaluator
+from thorvaldc.tools.study.study_document import Design, StudyPlan
 
 Result = TypeVar("Result")
 EXAMPLES = ROOT / "examples"
@@ -34,25 +35,21 @@ DEMANDED_MEMORY = 1500.0
 
 def figures() -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
-        folder = Path(name)
-        study = example_study(folder, DESIGNS)
-        inputs = StudyInputs(study, study.robot.read_text(encoding="utf-8"), (), trust=False)
-        run = StudyRun(inputs)
-        evaluator = DesignEvaluator(inputs, stack)
-        whole, plain = _Times(), _Times()
-        _drive(inputs, run.designs[0])  # loads the library and MuJoCo
-        results = []
-        for design in run.designs:
-            results.append(whole.measure(lambda: evaluator.evaluate(design)))  # noqa: B023
-            metrics = plain.measure(lambda: _drive(inputs, design))  # noqa: B023
-            if results[-1]["metrics"] != {"traverse": metrics}:
+        study = example_study(Path(name), DESIGNS)
+        designs = designs_of(study.plan)
+        evaluator = DesignEvaluator(study.plan, None, stack)
+        whole, plain, parallel = _Times(), _Times(), _Times()
+        _drive(study.plan, designs[0])  # loads the library and MuJoCo
+        for design in designs:
+            result = whole.measure(lambda: evaluator.evaluate(design))  # noqa: B023
+            metrics = plain.measure(lambda: _drive(study.plan, design))  # noqa: B023
+            if result["metrics"] != {"traverse": metrics}:
                 raise SystemExit("the study and the loop have other metrics")
-        parallel = _Times()
-        with closing(StudyJournal(folder / "results")) as journal:
-            parallel.measure(lambda: list(run.results(journal, PROCESSES)))
-            if [journal.results[key] for key in run.keys] != results:
-                raise SystemExit("the study has other results on several processes")
-    simulated = SECONDS * len(results)
+        one = study.run(Path(name) / "one")
+        two = parallel.measure(lambda: study.run(Path(name) / "two", jobs=PROCESSES))
+        if not one.equals(two):
+            raise SystemExit("the study has other results on several processes")
+    simulated = SECONDS * len(designs)
     yield Figure(
         "a study on two processes",
         plain.wall / parallel.wall,
@@ -62,7 +59,7 @@ def figures() -> Iterator[Figure]:
         "robot-seconds per second, relative to a loop over compile and simulation in one process:"
         f" {simulated / parallel.wall:.0f}, loop {simulated / plain.wall:.0f},"
         f" study on one process {simulated / whole.wall:.0f};"
-        f" {len(results)} designs of {SECONDS:g} s, with the start of the processes",
+        f" {len(designs)} designs of {SECONDS:g} s, with the start of the processes",
     )
     yield Figure.ratio(
         "a study per processor",
@@ -110,10 +107,7 @@ def example_study(folder: Path, designs: int) -> Study:
     _replace(path / "traverse.yaml", "at: 2.6 s", f"at: {SECONDS - 0.4:g} s")
     _replace(path / "study.yaml", "at_most: 1.4 m", "at_most: 2 m")  # every design is driven
     _replace(path / "study.yaml", "number: 32", f"number: {designs}")
-    study = thorvaldc.compile(path / "study.yaml").tool_document
-    if study is None:
-        raise SystemExit("the example does not compile")
-    return study
+    return Study(path / "study.yaml")
 
 
 def _replace(path: Path, old: str, new: str) -> None:
@@ -123,11 +117,9 @@ def _replace(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new), encoding="utf-8")
 
 
-def _drive(inputs: StudyInputs, design: Design) -> dict[str, float]:
-    study = inputs.study
-    study.robot.write_text(robot_text(inputs, design), encoding="utf-8")
-    ((_, scenario_file),) = study.scenarios
-    scenario = thorvaldc.compile(scenario_file).scenario
+def _drive(plan: StudyPlan, design: Design) -> dict[str, float]:
+    ((_, scenario_file),) = plan.scenarios
+    scenario = thorvaldc.compile(scenario_file, set=plan.changes(design)).scenario
     if scenario is None:
         raise SystemExit("a design does not compile")
     files = thorvaldc.emit(scenario.fleet, ["mjcf"])

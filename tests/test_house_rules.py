@@ -213,7 +213,6 @@ def test_files_are_written_in_one_place(package: Nodes) -> None:
         "compiler/output/writer.py",
         "simulation/physics/mujoco_scene.py",
         "tools/audit/audit_run.py",
-        "tools/study/study_results.py",
     )
 
 

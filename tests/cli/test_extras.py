@@ -35,13 +35,13 @@ HINTS = [
     ("serial", ("can", "scan", "good.yaml", "--bus", "slcan:/dev/null"), "serial"),
     ("msgpack", ("can", "scan", "good.yaml", "--bus", "udp"), "udp"),
     ("pygls", ("lsp",), "lsp"),
-    ("duckdb", ("study", "run", "study.yaml"), "study"),
+    ("optuna", ("study", "run", "study.yaml"), "study"),
     (
         "distributed",
         ("study", "run", "study.yaml", "--scheduler", "tcp://127.0.0.1:9"),
-        "cluster",
+        "study",
     ),
-    ("plotly", ("study", "report", "study.yaml"), "study"),
+    ("plotly", ("study", "show", "study.yaml", "--html", "o.html"), "study"),
     ("mujoco_usd_converter", ("usd", "good.yaml", "-o", "o.usda"), "usd"),
     ("aiohttp", ("preview", "good.yaml", "--no-browser"), "preview"),
 ]

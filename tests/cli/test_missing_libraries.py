@@ -11,7 +11,7 @@ import pytest
 from tests.cli.conftest import Command
 from thorvaldc.simulation.pictures import render
 
-PACKAGES = ("PIL", "aiohttp", "duckdb", "evdev", "imageio_ffmpeg", "matplotlib", "plotly", "pygls")
+PACKAGES = ("PIL", "aiohttp", "evdev", "imageio_ffmpeg", "matplotlib", "optuna", "plotly", "pygls")
 MODULES = ("thorvaldc.tools.preview.preview_server", "thorvaldc.tools.language_server.server")
 """Modules that import such a package when they are imported."""
 STUDY = """\
@@ -47,7 +47,7 @@ def bare(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch) -> Command:
         ("view", "no.yaml"),
         ("preview", "no.yaml"),
         ("study", "run", "no.yaml"),
-        ("study", "report", "no.yaml"),
+        ("study", "show", "no.yaml", "--html", "r.html"),
         ("teleop", "no.yaml", "--joystick", "auto"),
         ("usd", "no.yaml", "-o", "r.usda"),
     ],
@@ -70,7 +70,7 @@ def test_a_missing_file_is_reported_before_a_missing_library(
         ("render", "good.yaml", "--view", "behind"),
         ("render", "good.yaml", "-o", "a.jpg"),
         ("preview", "good.yaml", "--library", "nowhere"),
-        ("study", "report", "study.yaml", "-o", "r.txt"),
+        ("study", "show", "study.yaml", "--html", "r.txt"),
         ("teleop", "good.yaml", "--joystick", "auto", "--speed", "none"),
     ],
     ids=" ".join,
@@ -91,8 +91,8 @@ def test_wrong_arguments_are_reported_before_a_missing_library(
         (("sim", "good.yaml", "--plot", "p.png"), "a plot needs matplotlib"),
         (("render", "good.yaml"), "a picture needs Pillow"),
         (("preview", "good.yaml"), "the preview needs aiohttp"),
-        (("study", "run", "study.yaml"), "this study needs duckdb"),
-        (("study", "report", "study.yaml"), "this study needs plotly"),
+        (("study", "run", "study.yaml"), "this study needs optuna"),
+        (("study", "show", "study.yaml", "--html", "r.html"), "this study needs plotly"),
         (("teleop", "good.yaml", "--joystick", "auto"), "a joystick needs the package evdev"),
         (("lsp",), "the language server needs pygls"),
     ],

@@ -220,14 +220,11 @@ def test_study_alone(computer: Computer) -> None:
     (computer.folder / "study.yaml").write_text(STUDY, encoding="utf-8")
     run = computer.thorvaldc("study", "run", "study.yaml", "-j", "1")
     assert run == (0, DESIGNS, "wrote study/track/designs.parquet\n")
-    report = computer.thorvaldc("study", "report", "study.yaml")
-    assert report == (0, "study/track/report.html\n", "")
-
-
-@slow
-def test_cluster_alone(computer: Computer) -> None:
-    """The scheduler and the worker are commands of Dask, which log what they do."""
-    (computer.folder / "study.yaml").write_text(STUDY, encoding="utf-8")
+    plots = computer.thorvaldc("study", "show", "study.yaml", "--html", "plots.html")
+    assert plots == (0, DESIGNS, "wrote plots.html\n")
+    two = computer.thorvaldc("study", "run", "study.yaml", "-j", "2", "-o", "two")
+    assert two == (0, DESIGNS, "wrote two/designs.parquet\n")
+    # The scheduler and the worker are commands of Dask, which log what they do.
     quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     file = computer.folder / "scheduler.json"
     where = ("--scheduler-file", str(file), "--no-dashboard")
@@ -236,8 +233,8 @@ def test_cluster_alone(computer: Computer) -> None:
     while not (file.exists() and file.read_text().endswith("}")):
         time.sleep(0.05)
     address = json.loads(file.read_text())["address"]
-    run = computer.thorvaldc("study", "run", "study.yaml", "--scheduler", address)
-    assert run == (0, DESIGNS, "wrote study/track/designs.parquet\n")
+    run = computer.thorvaldc("study", "run", "study.yaml", "--scheduler", address, "-o", "dask")
+    assert run == (0, DESIGNS, "wrote dask/designs.parquet\n")
 
 
 ENVIRONMENT = "thorvaldc.tools.gym.environments:thorvaldc/Robot-v0"

@@ -491,14 +491,14 @@ def _load(
         try:
             return load_model(file)
         except DiagnosticError as error:
-            raise _compile_error([error.diagnostic], {}) from error
+            raise compile_error([error.diagnostic], {}) from error
     compilation = compile_file(path, library=library, set=set, trust=trust)
     if compilation.model is None:
-        raise _compile_error(compilation.report, compilation.sources)
+        raise compile_error(compilation.report, compilation.sources)
     return compilation.model
 
 
-def _compile_error(
+def compile_error(
     diagnostics: Sequence[Diagnostic] | Report, sources: Mapping[str, Path]
 ) -> CompileError:
     from thorvaldc.diagnostics.renderers import render_text
@@ -519,4 +519,4 @@ def _other_model(source: Source, content: str, expected: str, function: str) -> 
         Span(name),
         hint=f"{function}() reads this file",
     )
-    return _compile_error(report, {})
+    return compile_error(report, {})

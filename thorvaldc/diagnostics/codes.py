@@ -403,7 +403,6 @@ _TABLE: tuple[Code, ...] = (
     _error("TV986", "accept-code", "an entry of `accept` names no warning"),
     _warning("TV987", "accept-unused", "an accepted warning does not occur any more"),
     _error("TV988", "accept-place", "an entry of `accept` names a place that does not exist"),
-    _error("TV995", "study-path", "a variable of a study replaces no value of the robot"),
     _error("TV996", "study-value", "the values of a variable of a study are invalid"),
     _error("TV997", "study-name", "a study names an unknown fact, scenario or metric"),
 )

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import statistics
-from contextlib import closing
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +11,14 @@ import pytest
 
 import thorvaldc
 from tests.cli.conftest import UNPOWERED
-from tests.tools.study.test_studies import Command, rows, run, study_run
+from tests.tools.study.test_studies import Command, journal_lines, rows, run
 from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
-from thorvaldc.tools.study.study_results import StudyTable
-from thorvaldc.tools.study.study_run import StudyJournal, read_results
+from thorvaldc.tools.study.study_results import read_table
 
 __all__ = ["run"]
+pytestmark = pytest.mark.filterwarnings("ignore")  # of Dask and of the event loop that it leaves
 
 SEARCH = """\
 thorvaldc: 1
@@ -59,9 +57,8 @@ def test_the_widest_robot_that_fits_is_found(run: Command) -> None:
     best = 1.3 - (facts.size.width - facts.size.track)
     write_study(one_objective(SEARCH))
     assert run("study", "run", "study.yaml", "-j", "2", "-o", "out").status == 0
-    ((track, stability),) = StudyTable.open(Path("out")).query(
-        "SELECT track, stability FROM designs WHERE status = 'ok' ORDER BY stability DESC LIMIT 1"
-    )[1]
+    found = [row for row in rows("out", "track, stability, status") if row[2] == "ok"]
+    track, stability, _ = max(found, key=lambda row: row[1])
     assert track == pytest.approx(best, rel=0.01)
     # The robot tips over the line of its wheels: tan(angle) = half the track / height of the mass.
     height = facts.size.track / 2.0 / math.tan(dict(facts.stability.angles)["left"])
@@ -83,9 +80,8 @@ PLACE = """\
 
 def dominated_area(folder: str) -> float:
     """Returns the area between the front and a robot of 180 kg that tips over at 20 deg."""
-    found = StudyTable.open(Path(folder)).query(
-        "SELECT mass, -stability FROM designs WHERE status = 'ok' ORDER BY mass, stability DESC"
-    )[1]
+    table = read_table(Path(folder)).query("status == 'ok'").sort_values(["mass", "stability"])
+    found = [(mass, -stability) for mass, stability in table[["mass", "stability"]].to_numpy()]
     area, least = 0.0, -math.radians(20.0)
     for mass, value in found:
         if value < least:
@@ -116,13 +112,14 @@ def test_a_stopped_search_goes_on_with_the_same_designs(run: Command) -> None:
     expected = Path("whole/designs.parquet").read_bytes()
     assert run("study", "run", "study.yaml", "-j", "2", "-o", "two").status == 0
     assert Path("two/designs.parquet").read_bytes() == expected
-    with closing(StudyJournal(Path("stopped"))) as journal:
-        assert len(list(islice(study_run().results(journal, 1), 18))) == 18
-    done = len(read_results(Path("stopped")))
-    assert 0 < done < 24
+    journal = Path("stopped/journal.log")
+    journal.parent.mkdir()
+    lines = Path("whole/journal.log").read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join(lines[:-6]) + lines[-6][:100])
+    assert journal_lines("stopped") == 18
     assert run("study", "run", "study.yaml", "-j", "1", "-o", "stopped").status == 0
     assert Path("stopped/designs.parquet").read_bytes() == expected
-    assert len(read_results(Path("stopped"))) == 24
+    assert journal_lines("stopped") == 24
     assert run("study", "best", "study.yaml", "--by", "mass", "--results", "two", "-o", "b.yaml")
     assert "of the study search" in Path("b.yaml").read_text()
 
@@ -141,9 +138,12 @@ def test_without_a_scheduler_the_table_stays_whole(run: Command) -> None:
     write_study(SEARCH, ("number: 64", "number: 20"))
     assert run("study", "run", "study.yaml", "-j", "1", "-o", "out").status == 0
     expected = Path("out/designs.parquet").read_bytes()
-    result = run("study", "run", "study.yaml", "-o", "out", "--scheduler", "tcp://127.0.0.1:9")
+    command = ("study", "run", "study.yaml", "-o", "out", "--scheduler", "tcp://127.0.0.1:9")
+    assert run(*command).status == 0  # nothing is left to do
+    write_study(SEARCH, ("number: 64", "number: 24"))
+    result = run(*command)
     assert result.status == 3
-    assert "finished; the same command continues" not in result.err
+    assert "there is no Dask scheduler at tcp://127.0.0.1:9" in result.err
     assert Path("out/designs.parquet").read_bytes() == expected
 
 
@@ -167,8 +167,7 @@ def test_listed_values_and_failing_designs(run: Command) -> None:
     ("samples", "text"),
     [
         ("method: search, number: 5001", "with `search` it may have 5000"),
-        ("method: saltelli, number: 12", "`saltelli` needs a power of two"),
-        ("method: saltelli, number: 284288", "with `saltelli` it may have 1000000"),
+        ("method: saltelli, number: 26000", "with `saltelli` it may have 100000"),
         ("method: search, number: 8, batch: 0", "batch"),
     ],
 )

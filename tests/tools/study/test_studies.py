@@ -7,6 +7,7 @@ import math
 import multiprocessing
 import os
 import re
+import runpy
 import signal
 import sys
 import threading
@@ -25,18 +26,18 @@ from tests.cli.conftest import UNPOWERED, Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
 from tests.slow import mostly_slow
 from thorvaldc.compiler.scenario.scenario_compilation import metric_units
-from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.model.statics.slope import SlopeStatics
-from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs, robot_text
 from thorvaldc.tools.study.design_text import with_replaced_values
-from thorvaldc.tools.study.study_definition import designs_of
-from thorvaldc.tools.study.study_results import StudyTable, front
-from thorvaldc.tools.study.study_run import StudyJournal, StudyRun
+from thorvaldc.tools.study.designs import designs_of
+from thorvaldc.tools.study.evaluation import DesignEvaluator
+from thorvaldc.tools.study.study import Study
+from thorvaldc.tools.study.study_results import front, read_table
 
 ROOT = Path(__file__).parents[3]
+pytestmark = pytest.mark.filterwarnings("ignore")  # of Dask and of the event loop that it leaves
 run = pytest.fixture(name="run")(thorvaldc_command.__wrapped__)  # type: ignore[attr-defined]
 
 STUDY = """\
@@ -61,21 +62,20 @@ script: [{at: 0, vx: 0.5 m/s}]
 
 
 def rows(folder: str, columns: str) -> list[tuple[Any, ...]]:
-    return StudyTable.open(Path(folder)).query(f"SELECT {columns} FROM designs ORDER BY sample")[1]
+    """Returns columns of the table of designs; without a value, ``None``."""
+    found = read_table(Path(folder))[columns.split(", ")].astype(object)
+    return list(found.where(found.notna(), None).itertuples(index=False, name=None))
 
 
-def study_run() -> StudyRun:
-    study = thorvaldc.compile("study.yaml").tool_document
-    assert study is not None
-    text = study.robot.read_text(encoding="utf-8")
-    return StudyRun(StudyInputs(study, text, (), trust=False))
+def journal_lines(folder: str) -> int:
+    """Returns the number of finished designs in a journal."""
+    journal = Path(folder, "journal.log")
+    return journal.read_bytes().count(b'"key":') if journal.exists() else 0
 
 
 def designs(text: str) -> list[tuple[Any, ...]]:
     Path("study.yaml").write_text(text)
-    study = thorvaldc.compile("study.yaml").tool_document
-    assert study is not None
-    return designs_of(study)
+    return designs_of(Study("study.yaml").plan)
 
 
 def track_at(angle: float) -> float:
@@ -181,7 +181,7 @@ def test_the_metrics_of_a_design_are_those_of_its_scenario(run: Command) -> None
 def test_a_killed_study_continues_and_repeats_nothing(run: Command) -> None:
     Path("study.yaml").write_text(STUDY)
     assert run("study", "run", "study.yaml", "-j", "1", "-o", "whole").status == 0
-    journal = Path("killed/journal.jsonl")
+    journal = Path("killed/journal.log")
     command = [sys.executable, "-m", "thorvaldc", "study", "run", "study.yaml", "-o", "killed"]
     for lines, jobs in ((2, "1"), (25, "2")):
         with ChildProcess(
@@ -190,22 +190,18 @@ def test_a_killed_study_continues_and_repeats_nothing(run: Command) -> None:
         ) as process:
             end = time.monotonic() + 300
             while process.poll() is None and time.monotonic() < end:
-                if journal.exists() and journal.read_bytes().count(b"\n") >= lines:
+                if journal_lines("killed") >= lines:
                     break
                 time.sleep(0.005)
             os.killpg(process.pid, signal.SIGKILL)
         assert process.returncode == -signal.SIGKILL
-        assert lines <= journal.read_bytes().count(b"\n") < 81
+        assert lines <= journal_lines("killed") < 81
         assert not Path("killed/designs.parquet").exists()
         with journal.open("ab") as file:  # an incomplete line
-            file.write(journal.read_bytes().splitlines()[0][:40])
+            file.write(journal.read_bytes().splitlines()[1][:40])
     assert run("study", "run", "study.yaml", "-j", "2", "-o", "killed").status == 0
     assert Path("killed/designs.parquet").read_bytes() == Path("whole/designs.parquet").read_bytes()
-    keys = [
-        json.loads(line[17:])["key"]
-        for line in journal.read_bytes().splitlines()
-        if line.endswith(b"}")
-    ]
+    keys = re.findall(rb'"key":"(\w+)"', journal.read_bytes())
     assert len(keys) == len(set(keys)) == 81
     size = journal.stat().st_size
     assert run("study", "run", "study.yaml", "-o", "killed").status == 0
@@ -217,41 +213,56 @@ def test_a_killed_process_ends_no_study(run: Command) -> None:
     """The operating system may kill a process, for instance when memory is short."""
     Path("study.yaml").write_text(STUDY.replace("number: 81", "number: 21"))
     assert run("study", "run", "study.yaml", "-j", "1", "-o", "whole").status == 0
-    study = study_run()
-    journal = StudyJournal(Path("killed"))
-    for finished in study.results(journal, 2):
-        if finished in (2, 12):
-            processes = multiprocessing.active_children()
-            if processes:
-                processes[finished % len(processes)].kill()
-    assert finished == 21
-    study.write_table(journal, Path("killed"))
-    assert Path("killed/designs.parquet").read_bytes() == Path("whole/designs.parquet").read_bytes()
+    end, killed = threading.Event(), []
 
-
-def test_designs_that_cannot_be_evaluated_are_rows(run: Command) -> None:
-    Path("study.yaml").write_text(STUDY.replace("number: 81", "number: 2"))
-    study, journal, end = study_run(), StudyJournal(Path("out")), threading.Event()
-
-    def kill_every_process() -> None:
-        while not end.wait(0.02):
-            for process in multiprocessing.active_children():
+    def kill_processes() -> None:
+        for lines in (1, 12):
+            while journal_lines("killed") < lines and not end.wait(0.005):
+                pass
+            for process in multiprocessing.active_children()[:1]:
                 process.kill()
+                killed.append(process)
 
-    thread = threading.Thread(target=kill_every_process)
+    thread = threading.Thread(target=kill_processes)
     thread.start()
     try:
-        finished = list(study.results(journal, 2))
+        Study("study.yaml").run("killed", jobs=2)
     finally:
         end.set()
         thread.join()
-    assert finished == [0, 1, 2]
-    study.write_table(journal, Path("out"))
-    message = "the process that evaluated it was killed 3 times"
-    assert rows("out", "status, message") == [("error", message)] * 2
-    journal.close()
-    assert run("study", "run", "study.yaml", "-j", "2", "-o", "out").status == 0  # tries again
-    assert {status for (status,) in rows("out", "status")} <= {"ok", "constraint"}
+    assert killed
+    assert Path("killed/designs.parquet").read_bytes() == Path("whole/designs.parquet").read_bytes()
+
+
+KILLER = """\
+import os
+from thorvaldc.tools.study import Study
+
+def measure(robot):
+    if robot.name != "good" or os.path.exists("kills") and robot.inertial.mass > %f:
+        os._exit(1)
+    return {"wheels": len(robot.wheels)}
+
+study = Study("study.yaml", measure=measure)
+"""
+
+
+@pytest.mark.slow
+def test_a_design_that_kills_its_process_is_a_row(run: Command) -> None:
+    """All other designs have their results, and the next run tries it again."""
+    text = STUDY.replace("number: 81", "number: 5").replace("at_least: 50", "at_least: 10")
+    text = text.replace("light: {fact: mass", "wheels: {metric: measure.wheels")
+    Path("study.yaml").write_text(text)
+    heaviest = thorvaldc.load("good.yaml", set={"modules.frame.params.width": "1.15 m"})
+    Path("study.py").write_text(KILLER % heaviest.inertial.mass)
+    Path("kills").touch()
+    assert run("study", "run", "study.py", "-j", "2", "-o", "out").status == 0
+    found = rows("out", "track, status, message")
+    assert [status for _, status, _ in found] == ["ok"] * 4 + ["error"]
+    assert "was killed several times" in found[-1][2]
+    Path("kills").unlink()
+    assert run("study", "run", "study.py", "-j", "2", "-o", "out").status == 0
+    assert {status for (status,) in rows("out", "status")} == {"ok"}
 
 
 def test_more_designs_repeat_none(run: Command) -> None:
@@ -263,7 +274,7 @@ def test_more_designs_repeat_none(run: Command) -> None:
     assert run("study", "run", "study.yaml", "-j", "1").status == 0
     Path("study.yaml").write_text(study(8))
     assert run("study", "run", "study.yaml", "-j", "1").status == 0
-    assert Path("study/track/journal.jsonl").read_bytes().count(b"\n") == 8
+    assert journal_lines("study/track") == 8
     # A changed file of the robot is another study.
     Path("good.yaml").write_text(UNPOWERED + "description: other\n")
     assert run("study", "best", "study.yaml", "-o", "b.yaml").status == 3
@@ -301,7 +312,7 @@ def test_the_winning_file_keeps_comments_and_adds_missing_parameters(run: Comman
     assert run("study", "run", "study.yaml", "-j", "1").status == 0
     assert run("study", "best", "study.yaml", "-o", "best.yaml").status == 0
     written = Path("best.yaml").read_text()
-    assert written.startswith("# Design 1 of the study track (study.yaml), best by light;")
+    assert written.startswith("# Design 1 of the study track (study.yaml)\n")
     assert "#   track: 0.8 m\n" in written
     assert "# a note\n" in written
     assert "width: 0.8 m}" in written
@@ -342,21 +353,13 @@ def test_wrong_uses_are_one_line(run: Command) -> None:
     assert run("study", "show", "study.yaml").status == 3
     assert "study run" in run("study", "best", "study.yaml", "-o", "b.yaml").err
     assert run("study", "run", "study.yaml", "-j", "1").status == 0
-    query = "SELECT count(*) AS n FROM designs"
-    assert json.loads(run("study", "show", "study/track", "--json", "--sql", query).out) == [
-        {"n": 2}
-    ]
     again = run("study", "run", "study.yaml", "-o", "other", "--json")
     assert json.loads(again.out) == json.loads(
         run("study", "show", "study.yaml", "--results", "other", "--json").out
     )
     assert run("study", "show", "other", "--results", "other").status == 2
-    for wrong in ("SELECT nothing FROM designs", "COPY designs TO 'x.csv'"):
-        result = run("study", "show", "study.yaml", "--sql", wrong)
-        assert result.status == 2
-        assert "Traceback" not in result.err
-    assert not Path("x.csv").exists()
-    assert "no objective" in run("study", "best", "study.yaml", "-o", "b", "--by", "lihgt").err
+    result = run("study", "best", "study.yaml", "-o", "b", "--by", "lihgt")
+    assert "the objectives are light" in result.err
     edited(lambda text: text.replace("mass,", "masss,"))
     result = run("study", "run", "study.yaml")
     assert result.status == 1
@@ -373,9 +376,89 @@ def test_the_page_shows_the_example() -> None:
     expected = yaml.safe_load(example.read_text("utf-8"))
     del expected["description"]
     assert yaml.safe_load(shown[1]) == expected
-    study = thorvaldc.compile(example).tool_document
-    assert study is not None
-    assert len(designs_of(study)) == 32
+    assert len(Study(example)) == 32
+
+
+def test_the_program_of_the_page_runs(run: Command) -> None:
+    """In this process and as an argument of the command, on two processes."""
+    page = (ROOT / "docs/studies.md").read_text("utf-8")
+    program = re.search(r"```python title=\"turn.py\"\n(.*?)```", page, re.S)
+    assert program is not None
+    Path("turn.py").write_text(program[1])
+    Path("robot.yaml").write_text(UNPOWERED)
+    assert run("study", "run", "turn.py", "-j", "2", "-o", "two").status == 0
+    found = rows("two", "width, status, error")
+    assert [(width, status) for width, status, _ in found] == [
+        (width, "ok") for width in (0.8, 0.9, 1.0, 1.1, 1.2)
+    ]
+    assert all(0.0 < error < 0.05 for _, _, error in found)
+    assert run("study", "best", "turn.py", "--results", "two", "-o", "best.yaml").status == 0
+    names = runpy.run_path("turn.py")
+    table = names["study"].run("one")
+    assert Path("one/designs.parquet").read_bytes() == Path("two/designs.parquet").read_bytes()
+    best = names["study"].best(table)
+    assert best["error"] == min(error for _, _, error in found)
+    assert names["measure"](thorvaldc.load("best.yaml")) == {"error": best["error"]}
+    assert len(names["study"].optuna_study("one").trials) == 5
+    Path("broken.py").write_text("import math\nmath.sqrt(-1)\n")
+    assert "broken.py:2: ValueError: " in run("study", "run", "broken.py").err
+
+
+def test_a_variable_of_a_scenario(run: Command) -> None:
+    """The friction of the ground is another one in each design; wrong paths have their line."""
+    Path("drive.yaml").write_text(DRIVE)
+    text = STUDY.replace("objectives:", "scenarios: {go: {scenario: drive.yaml}}\nobjectives:")
+    text = re.sub(r"constraints:\n.*\n", "", text)
+    text = text.replace("light: {fact: mass", "energy: {metric: go.slip")
+    track = "track: {paths: [modules.frame.params.width], min: 0.8 m, max: 1.2 m}"
+    text = text.replace("number: 81", "number: 3")
+    Path("study.yaml").write_text(
+        text.replace(track, "ground: {paths: [go.world.friction], min: 0.1, max: 0.5}")
+    )
+    assert run("study", "run", "study.yaml", "-j", "1", "-o", "out").status == 0
+    found = rows("out", "ground, energy")
+    assert [ground for ground, _ in found] == [0.1, 0.3, 0.5]
+    assert found[0][1] > found[2][1]
+    wrong = text.replace(track, "ground: {paths: [go.world.fricton], min: 0.1, max: 0.5}")
+    Path("study.yaml").write_text(wrong)
+    result = run("check", "study.yaml")
+    assert result.status == 1
+    assert "study.yaml:5:20: error[TV201]" in result.out
+    assert "did you mean `friction`?" in result.out
+
+
+@pytest.mark.parametrize(
+    ("path", "values", "expected"),
+    [
+        ("modules.frame.params.widht", "min: 0.8 m, max: 1.2 m", "TV311] param-unknown"),
+        ("modules.frame.params.width", "values: [0.9 m, 0.9 kg]", "TV211] wrong-dimension"),
+        ("modules.fr.type", "values: [assembly/fixd_drive]", "did you mean `assembly/fixed_drive`"),
+        ("modules.frame.params", "values: [1 m]", "TV203] wrong-type"),
+        ("modules.frme.params.width", "values: [1 m]", "TV202] missing-key"),
+        ("driver.rat", "values: [50 Hz]", "did you mean `rate`?"),
+    ],
+)
+def test_wrong_paths_and_values_have_their_line(
+    run: Command, path: str, values: str, expected: str
+) -> None:
+    old = "paths: [modules.frame.params.width], min: 0.8 m, max: 1.2 m"
+    Path("study.yaml").write_text(STUDY.replace(old, f"paths: [{path}], {values}"))
+    result = run("check", "study.yaml")
+    assert result.status == 1
+    error = result.out[result.out.index("study.yaml:5:") :]
+    assert expected in error
+
+
+def test_a_value_behind_an_alias_is_not_written(run: Command) -> None:
+    """The alias would change other places of the file too."""
+    good = UNPOWERED.replace("length: 1.1 m, width: 0.9 m", "length: &w 0.9 m, width: *w")
+    assert good != UNPOWERED
+    Path("good.yaml").write_text(good)
+    Path("study.yaml").write_text(STUDY.replace("50 deg", "9 deg").replace("81", "2"))
+    assert run("study", "run", "study.yaml", "-j", "1").status == 0
+    result = run("study", "best", "study.yaml", "-o", "best.yaml")
+    assert result.status == 3
+    assert "a YAML alias repeats the value of `modules.frame.params.width`" in result.err
 
 
 @pytest.mark.parametrize(
@@ -388,14 +471,9 @@ def test_the_page_shows_the_example() -> None:
 )
 def test_a_robot_climbs_in_mud_if_its_grip_suffices(rear: str, hopper: str, status: str) -> None:
     """The margins of the example's page: grip over weight downhill and rolling resistance."""
-    study = thorvaldc.compile(
-        ROOT / "examples/studies/driven_wheels_in_mud/study.yaml"
-    ).tool_document
-    assert study is not None
-    inputs = StudyInputs(study, study.robot.read_text("utf-8"), (), trust=False)
+    plan = Study(ROOT / "examples/studies/driven_wheels_in_mud/study.yaml").plan
     design = ("none", rear, hopper)
-    with unsaved_texts({str(study.robot.resolve()): robot_text(inputs, design).encode()}):
-        robot = thorvaldc.load(study.robot)
+    robot = thorvaldc.load(plan.robot, set=plan.changes(design))
     assert isinstance(robot, Robot)
     angle = math.radians(6)
     loads = list(zip(robot.wheels, SlopeStatics(robot).loads(angle), strict=True))
@@ -407,7 +485,7 @@ def test_a_robot_climbs_in_mud_if_its_grip_suffices(rear: str, hopper: str, stat
         for friction, resistance in ((0.45, 0.2), (0.4, 0.25))
     ]
     with ExitStack() as stack:
-        row = DesignEvaluator(inputs, stack).evaluate(design)
+        row = DesignEvaluator(plan, None, stack).evaluate(design)
     assert row["status"] == status, row["message"]
     assert (min(margins) > 1.0) == (status == "ok")
     assert row["facts"]["purchase.price"] == (19200.0 if "steered" in rear else 11800.0)

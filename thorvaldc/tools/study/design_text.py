@@ -64,12 +64,15 @@ def with_replaced_values(text: str, values: Iterable[tuple[str, Value]]) -> str:
     no document.
     """
     document = _parsed(text)
+    aliases = shared_spans(document)
     edits: list[tuple[Span, str]] = []
     missing: list[tuple[str, Value]] = []
     for path, value in values:
         node, keys = find_value(document, path)
         if keys:
             missing.append((path, value))
+        elif node.span in aliases:
+            raise PathError(f"a YAML alias repeats the value of `{path}`: write it in each place")
         else:
             edits.append((node.span, value_text(value)))
     text = _edited(text, edits)

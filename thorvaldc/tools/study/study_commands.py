@@ -1,8 +1,10 @@
-"""The commands ``thorvaldc study run``, ``show``, ``report`` and ``best``."""
+"""The commands ``thorvaldc study run``, ``show`` and ``best``."""
 
 from __future__ import annotations
 
 import gc
+import json as json_text
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,12 +14,14 @@ from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
-    from thorvaldc.tools.study.study_definition import Objective
-    from thorvaldc.tools.study.study_results import StudyTable
+    from pandas import DataFrame
 
-REPORT = "report.html"
-StudyFile = Annotated[str, typer.Argument(metavar="STUDY", help="A study file.")]
-StudyResults = Annotated[
+    from thorvaldc.tools.study.study import Study
+
+StudyFile = Annotated[
+    str, typer.Argument(metavar="STUDY", help="A study file, or a Python file that makes a study.")
+]
+Results = Annotated[
     str,
     typer.Option("--results", metavar="DIR", help="Folder of the results (default: study/NAME)."),
 ]
@@ -46,158 +50,67 @@ def run_study(
 ) -> int:
     from thorvaldc.cli import diagnostic_output
     from thorvaldc.simulation.worker_processes import processors
-    from thorvaldc.tools.study import study_results, study_run
-    from thorvaldc.tools.study.study_definition import required
+    from thorvaldc.tools.study.study_results import TABLE
 
     process_count = options.parse_count(jobs, "--jobs", 1) or processors()
-    address = study_run.parse_scheduler(scheduler)
     gc.enable()
-    run = study_run.plan_study(study, library, trust)
-    if run is None:
+    opened = _open_study(study, library, trust)
+    if opened is None:
         return INPUT
-    required("duckdb")
-    folder = study_results.results_folder(run.inputs.study.name, output)
-    journal = study_run.StudyJournal(folder)
-    run.replay(journal.results)  # the table is whole, also if there is no cluster
-    total, finished = run.number, run.finished(journal.results)
-    progress = study_run.StudyProgress(run)
     try:
-        with study_run.open_cluster(address, run) as cluster:
-            for finished in run.results(journal, process_count, cluster):
-                progress.show(finished, journal.results)
-    finally:
-        progress.clear()
-        run.write_table(journal, folder)
-        journal.close()
-        if finished < total:
-            designs = diagnostic_output.count(total, "design")
-            diagnostic_output.message(
-                f"{finished} of {designs} finished; the same command continues"
-            )
-    table = study_results.StudyTable.open(folder)
+        table = opened.run(
+            output, jobs=process_count, scheduler=scheduler, progress=sys.stderr.isatty()
+        )
+    except KeyboardInterrupt:
+        diagnostic_output.message("the same command continues")
+        raise
     _print_summary(table, json)
-    diagnostic_output.message(f"wrote {table.path}")
+    diagnostic_output.message(f"wrote {opened.results_folder(output) / TABLE}")
     return DONE
-
-
-def _print_summary(table: StudyTable, json: bool) -> None:
-    from thorvaldc.cli import diagnostic_output
-    from thorvaldc.tools.study import study_results
-
-    if json:
-        diagnostic_output.print_json(study_results.summary(table))
-    else:
-        print(study_results.summary_text(table, diagnostic_output.table_width()))
 
 
 def show_study(
     source: Annotated[
-        str, typer.Argument(metavar="STUDY|DIR", help="A study file, or the folder of its results.")
+        str, typer.Argument(metavar="STUDY|DIR", help="A study, or the folder of its results.")
     ],
-    sql: Annotated[
-        str,
-        typer.Option("--sql", metavar="QUERY", help="Ask the table `designs` in SQL (DuckDB)."),
+    figures: Annotated[
+        str, typer.Option("--html", metavar="OUT.html", help="Write plots as a web page (Plotly).")
     ] = "",
-    results: StudyResults = "",
+    results: Results = "",
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
     json: options.Json = False,
 ) -> int:
     from thorvaldc.cli import diagnostic_output
-    from thorvaldc.compiler.source.reader import read_file
-    from thorvaldc.diagnostics import Report
-    from thorvaldc.diagnostics.text_layout import text_table
-    from thorvaldc.tools.study import study_results
-    from thorvaldc.tools.study.study_results import StudyTable
+    from thorvaldc.diagnostics.files import write_file
+    from thorvaldc.tools.study.designs import required
+    from thorvaldc.tools.study.study_figures import figures_page
+    from thorvaldc.tools.study.study_results import read_table
 
-    folder = Path(source)
-    if folder.is_dir() and results:
-        raise typer.BadParameter(f"{source} is a folder of results too", param_hint="'--results'")
+    folder, opened = Path(source), None
+    if figures:
+        options.check_output(figures, ["html", "htm"], "--html")
+    if folder.is_dir() and (figures or results):
+        option = "--html" if figures else "--results"
+        raise typer.BadParameter("needs the study, not its folder", param_hint=f"'{option}'")
     if not folder.is_dir():
-        document = read_file(folder, source, Report())
-        name = document.get("study") if document is not None else None
-        if name is None or not isinstance(name.value, str):
-            raise typer.BadParameter(
-                f"{source} is neither a study nor a folder", param_hint="'STUDY|DIR'"
-            )
-        folder = study_results.results_folder(name.value, results)
+        opened = _open_study(source, library, trust)
+        if opened is None:
+            return INPUT
+        folder = opened.results_folder(results)
+    if figures:
+        required("plotly")
     try:
-        table = StudyTable.open(folder)
+        table = read_table(folder)
     except (OSError, ValueError):
         raise OutsideError(
             f"{source}: {folder} has no results of a study; `thorvaldc study run` writes them"
         ) from None
-    try:
-        if sql:
-            columns, rows = table.query(sql)
-            if json:
-                diagnostic_output.print_json([dict(zip(columns, row, strict=True)) for row in rows])
-            else:
-                cells = [tuple("-" if v is None else str(v) for v in row) for row in rows]
-                print(text_table([tuple(columns), *cells], diagnostic_output.table_width()))
-        else:
-            _print_summary(table, json)
-    except ValueError as error:
-        if sql:
-            raise typer.BadParameter(str(error), param_hint="'--sql'") from None
-        raise OutsideError(f"{table.path} cannot be read: {error}") from None
-    return DONE
-
-
-def write_report(
-    study: StudyFile,
-    output: Annotated[
-        str,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="OUT.html",
-            help="File to write.",
-            show_default=f"{REPORT} in the folder of the results",
-        ),
-    ] = "",
-    results: StudyResults = "",
-    library: options.Library = [],  # noqa: B006
-    trust: options.Trust = False,
-) -> int:
-    from thorvaldc.cli import diagnostic_output
-    from thorvaldc.cli.diagnostic_output import Progress
-    from thorvaldc.diagnostics.files import write_file
-    from thorvaldc.tools.study import study_report, study_results, study_run
-    from thorvaldc.tools.study.study_definition import required
-    from thorvaldc.tools.study.study_results import StudyTable
-
-    if output:
-        options.check_output(output, ["html", "htm"], "--output")
-    run = study_run.plan_study(study, library, trust)
-    if run is None:
-        return INPUT
-    required("plotly")
-    fault = study_report.picture_fault()  # before MuJoCo is imported
-    folder = study_results.results_folder(run.inputs.study.name, results)
-    missing = f"the designs have no results in {folder}; `thorvaldc study run {study}` evaluates"
-    try:
-        table = StudyTable.open(folder)
-        content = study_report.ReportContent(run.inputs.study, table, run.number)
-        sensitivity = study_report.Sensitivity.of(table)
-        run.replay(study_run.read_results(folder))
-    except (OSError, ValueError, KeyError):
-        raise OutsideError(f"{missing} them") from None
-    designs = dict(zip(run.keys, run.designs, strict=True))
-    keys = {design["sample"]: design["key"] for design in content.designs}
-    if not keys.keys() or not all(key in designs for key in keys.values()):
-        raise OutsideError(f"{missing} them: the table {table.path} is of another version")
-    if fault:
-        diagnostic_output.message(f"warning: the report has no pictures: {fault}")
-    progress = Progress(len(content.shown) + 1, "robots")
-    try:
-        robots = study_report.RobotCompiler(run.inputs, draws=not fault).robots(
-            [(number, designs[keys[number]]) for number in content.shown], progress.show
-        )
-    finally:
-        progress.clear()
-    path = Path(output) if output else folder / REPORT
-    page = study_report.study_report(content, robots, picture_fault=fault, sensitivity=sensitivity)
-    write_file(path, page)
-    print(path)
+    page = figures_page(opened, table, folder) if opened is not None and figures else ""
+    _print_summary(table, json)
+    if page:
+        write_file(Path(figures), page)
+        diagnostic_output.message(f"wrote {figures}")
     return DONE
 
 
@@ -210,52 +123,88 @@ def write_best(
         str,
         typer.Option("--by", metavar="OBJECTIVE", help="The objective, if the study has several."),
     ] = "",
-    results: StudyResults = "",
+    results: Results = "",
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli import diagnostic_output
-    from thorvaldc.tools.study import study_results, study_run
+    from thorvaldc.compiler.pipeline import compile_file
+    from thorvaldc.compiler.source.input_file import unsaved_texts
+    from thorvaldc.diagnostics.files import write_file
+    from thorvaldc.tools.study.design_text import PathError
+    from thorvaldc.tools.study.study_results import read_table
 
-    run = study_run.plan_study(study, library, trust)
-    if run is None:
+    opened = _open_study(study, library, trust)
+    if opened is None:
         return INPUT
-    objective = _choose(run.inputs.study.objectives, by)
-    folder = study_results.results_folder(run.inputs.study.name, results)
+    names = [objective.name for objective in opened.plan.objectives]
+    if by not in names and (by or len(names) > 1):
+        raise typer.BadParameter(f"the objectives are {', '.join(names)}", param_hint="'--by'")
+    folder = opened.results_folder(results)
     try:
-        known = study_run.read_results(folder)
-    except FileNotFoundError:
-        known = {}
-    run.replay(known)
-    finished = sum(1 for key in run.keys if key in known)
-    total = max(run.number, len(run.keys))
-    if finished < total:
-        missing = f"{total - finished} of {total} designs have no result in {folder}"
-        if not finished:
-            raise OutsideError(f"{missing}; `thorvaldc study run {study}` evaluates them")
-        diagnostic_output.message(f"warning: {missing}")
-    winner = study_run.find_winner(run, known, objective)
-    if winner is None:
+        table = read_table(folder)
+    except (OSError, ValueError):
+        table = None
+    if table is None or table.attrs["question"] != opened.plan.question():
+        raise OutsideError(
+            f"{folder} has no results of this study; `thorvaldc study run {study}` evaluates them"
+        )
+    if len(table) < len(opened):
+        diagnostic_output.message(
+            f"warning: {len(opened) - len(table)} of {len(opened)} designs have no result"
+        )
+    best = opened.best(table, by)
+    if best is None:
         diagnostic_output.message("no design meets every constraint and passes every scenario")
         return INPUT
-    text = study_run.winner_text(run, winner, objective, study)
-    compilation = study_run.write_winner(Path(output), text, run)
+    path = Path(output)
+    if path.exists() and not path.read_text("utf-8", "replace").startswith(_HEADER):
+        raise OutsideError(f"will not overwrite {path}, which no study has written")
+    values = json_text.loads(best["design"])
+    lines = [f"{_HEADER}{best['sample']} of the study {opened.plan.name} ({study})"]
+    lines += [f"#   {v.name}: {x}" for v, x in zip(opened.plan.variables, values, strict=True)]
+    for name in (*table.attrs["constraints"], *table.attrs["objectives"]):
+        lines.append(
+            f"#   {name}: {best[name]:.6g} {table.attrs['objectives'].get(name, '')}".rstrip()
+        )
+    lines.append("# Constraints and objectives are in SI units, angles in rad.\n")
+    try:
+        text = "\n".join(lines) + opened.robot_text(tuple(values))
+    except PathError as error:
+        raise OutsideError(str(error)) from None
+    with unsaved_texts({str(path.resolve()): text.encode()}):
+        compilation = compile_file(path, library=opened.plan.library, trust=trust)
     status = diagnostic_output.show_report(compilation.report, compilation.sources)
-    if status == DONE:
-        diagnostic_output.message(f"wrote {output}: design {winner.number}")
+    if status == DONE:  # not with errors, for example because a relative path does not exist there
+        write_file(path, text)
+        diagnostic_output.message(f"wrote {output}: design {best['sample']}")
     return status
 
 
-def _choose(objectives: tuple[Objective, ...], by: str) -> Objective:
-    from thorvaldc.diagnostics import did_you_mean
+_HEADER = "# Design "
 
-    names = [objective.name for objective in objectives]
-    if not by and len(objectives) > 1:
-        raise typer.BadParameter(
-            f"the study has several objectives: {', '.join(names)}", param_hint="'--by'"
-        )
-    for objective in objectives:
-        if by in ("", objective.name):
-            return objective
-    hint = did_you_mean(by, names, f"it has {', '.join(names)}")
-    raise typer.BadParameter(f"the study has no objective {by!r}; {hint}", param_hint="'--by'")
+
+def _open_study(path: str, library: list[str], trust: bool) -> Study | None:
+    """Opens a study; prints its errors and returns ``None`` if it has any."""
+    from thorvaldc.cli.robot_file import compile_and_show
+    from thorvaldc.tools.study.study import Study, study_of_program
+    from thorvaldc.tools.study.study_document import StudyPlan
+
+    if path.endswith(".py") and Path(path).is_file():
+        return study_of_program(path)
+    compilation = compile_and_show(path, library, trust=trust)
+    if compilation.model is None:
+        return None
+    if not isinstance(compilation.tool_document, StudyPlan):
+        raise typer.BadParameter(f"{path} is no study", param_hint="'STUDY'")
+    return Study(compilation, library=options.library_folders(library), trust=trust)
+
+
+def _print_summary(table: DataFrame, json: bool) -> None:
+    from thorvaldc.cli import diagnostic_output
+    from thorvaldc.tools.study import study_results
+
+    if json:
+        diagnostic_output.print_json(study_results.summary(table))
+    else:
+        print(study_results.summary_text(table, diagnostic_output.table_width()))

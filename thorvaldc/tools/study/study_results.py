@@ -1,99 +1,58 @@
-"""The results of a study: the table of designs, its best designs, and what the variables matter.
-
-The table is a Parquet file, written and read by DuckDB.  Here it is shown as text; the web page is
-in ``study_report``.
-"""
+"""The table of designs of a study: its best designs, and what the variables matter."""
 
 from __future__ import annotations
 
 import json
 import math
-import os
-import tempfile
-from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from thorvaldc.compiler.scenario.scenario_compilation import metric_units
 from thorvaldc.compiler.source.node import Value
-from thorvaldc.compiler.source.unit_table import QUANTITIES
-from thorvaldc.compiler.source.units import UnitError, parse_any, parse_unit
-from thorvaldc.diagnostics.files import read_json
+from thorvaldc.compiler.source.units import UnitError, parse_any
+from thorvaldc.diagnostics import files
 from thorvaldc.diagnostics.text_layout import text_table
-from thorvaldc.model import quantities as si
-from thorvaldc.model.facts.robot_facts import fact_quantity
-from thorvaldc.tools.study import study_definition as definition
-from thorvaldc.tools.study.study_definition import Design, Study, Variable
+from thorvaldc.tools.study.designs import required
+from thorvaldc.tools.study.study_document import Design, StudyPlan
 
-RESULTS = Path("study")
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
 TABLE = "designs.parquet"
-DESCRIPTION = "study.json"
-
+STATUSES = ("ok", "constraint", "expectation", "tipped", "diverged", "error")
 Row = tuple[int, str, Design, dict[str, Any]]
 """Number, key, values and result of a design."""
 
 
-def results_folder(name: str, output: str) -> Path:
-    """Returns the folder with the results of a study: ``output``, or ``study/NAME``."""
-    return Path(output) if output else RESULTS / name
-
-
-def write_table(study: Study, rows: Sequence[Row], folder: Path) -> None:
-    """Writes the table of designs and the description of its columns to a folder.
-
-    Each file is either written completely or not changed.  Equal rows give equal bytes.
-    """
-    variables = {variable.name: _sql_type(variable) for variable in study.variables}
-    metrics = ", ".join(f'"{name}" DOUBLE' for name in metric_units())
-    columns = {
-        "sample": "INTEGER",
-        **dict.fromkeys(("key", "status", "code", "message"), "VARCHAR"),
-        **variables,
-        **{constraint.name: "DOUBLE" for constraint in study.constraints},
-        **{objective.name: "DOUBLE" for objective in study.objectives},
-        **{name: f"STRUCT({metrics})" for name, _ in study.scenarios},
+def table_of(plan: StudyPlan, rows: Iterable[Row]) -> DataFrame:
+    """Returns the table of designs, in SI units; ``attrs`` has the names and the goals."""
+    records = []
+    numbers = {v.name for v in plan.variables if all(map(_has_number, v.tested_values()))}
+    for number, key, design, result in rows:
+        record: dict[str, Any] = {"sample": number}
+        record |= {name: result[name] for name in ("status", "code", "message")}
+        for variable, value in zip(plan.variables, design, strict=True):
+            is_number = variable.name in numbers
+            record[variable.name] = si_value(value) if is_number else _word(value)
+        record |= {c.name: _number(result["facts"].get(c.fact)) for c in plan.constraints}
+        record |= {o.name: _number(o.value_of(result)) for o in plan.objectives}
+        for scenario, metrics in result["metrics"].items():
+            record |= {f"{scenario}.{name}": _number(value) for name, value in metrics.items()}
+        records.append(record | {"design": json.dumps(design, ensure_ascii=False), "key": key})
+    table: DataFrame = required("pandas").DataFrame.from_records(records)
+    table.attrs = {
+        "study": plan.name,
+        "method": plan.method,
+        "question": plan.question(),
+        "variables": [variable.name for variable in plan.variables],
+        "constraints": [constraint.name for constraint in plan.constraints],
+        "objectives": {objective.name: objective.goal for objective in plan.objectives},
     }
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as temporary:
-        lines, table = Path(temporary) / "designs.jsonl", Path(temporary) / TABLE
-        with lines.open("w", encoding="utf-8") as file:
-            for row in rows:
-                file.write(json.dumps(_record(study, row, variables), ensure_ascii=False) + "\n")
-        with definition.required("duckdb").connect() as connection:
-            connection.execute("SET threads = 1")
-            connection.execute("SET enable_progress_bar = false")
-            types = ", ".join(f'"{name}" {kind}' for name, kind in columns.items())
-            connection.execute(f"CREATE TABLE designs ({types})")
-            fields = ", ".join(f"'{name}': '{kind}'" for name, kind in columns.items())
-            connection.execute(
-                "INSERT INTO designs SELECT * FROM"
-                f" read_json({_text(lines)}, format = 'newline_delimited', columns = {{{fields}}})"
-            )
-            connection.execute(
-                f"COPY (SELECT * FROM designs ORDER BY sample) TO {_text(table)} (FORMAT parquet)"
-            )
-        description = Path(temporary) / DESCRIPTION
-        description.write_text(json.dumps(_description(study), indent=1) + "\n", encoding="utf-8")
-        os.replace(description, folder / DESCRIPTION)
-        os.replace(table, folder / TABLE)
+    return table
 
 
-def _text(path: Path) -> str:
-    """Returns a path as a text of SQL."""
-    return "'" + str(path).replace("'", "''") + "'"
-
-
-def _record(study: Study, row: Row, types: dict[str, str]) -> dict[str, Any]:
-    number, key, design, result = row
-    record = {"sample": number, "key": key}
-    record |= {name: result[name] for name in ("status", "code", "message")}
-    for variable, value in zip(study.variables, design, strict=True):
-        is_number = types[variable.name] == "DOUBLE"
-        record[variable.name] = si_value(value) if is_number else _word(value)
-    record |= {c.name: result["facts"].get(c.fact) for c in study.constraints}
-    record |= {o.name: o.value_of(result) for o in study.objectives}
-    return record | {name: result["metrics"].get(name) for name, _ in study.scenarios}
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
 
 
 def si_value(value: Value) -> float | None:
@@ -108,147 +67,46 @@ def si_value(value: Value) -> float | None:
         return None
 
 
+def _has_number(value: Value) -> bool:
+    return si_value(value) is not None
+
+
 def _word(value: Value) -> str:
-    return value if isinstance(value, str) else definition.value_key(value)
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
-def _sql_type(variable: Variable) -> str:
-    has_numbers = all(si_value(value) is not None for value in variable.tested_values())
-    return "DOUBLE" if has_numbers else "VARCHAR"
+def write_table(table: DataFrame, folder: Path) -> Path:
+    """Writes the table to a folder, completely or not at all.  Equal tables give equal bytes."""
+    required("pyarrow")
+    path = folder / TABLE
+    files.write_file(path, table.to_parquet(index=False))
+    return path
 
 
-def _description(study: Study) -> dict[str, Any]:
-    return {
-        "study": study.name,
-        "description": study.description,
-        "method": study.samples.method,
-        "variables": [variable.name for variable in study.variables],
-        "constraints": [constraint.name for constraint in study.constraints],
-        "scenarios": [name for name, _ in study.scenarios],
-        "objectives": {objective.name: objective.goal for objective in study.objectives},
-    }
+def read_table(folder: Path) -> DataFrame:
+    """Reads the table in a folder.  Raises ``OSError`` or ``ValueError`` if there is none."""
+    required("pyarrow")
+    table: DataFrame = required("pandas").read_parquet(folder / TABLE)
+    if "objectives" not in table.attrs:
+        raise ValueError(f"{folder / TABLE} is no table of a study")
+    return table
 
 
-@dataclass(frozen=True, slots=True)
-class StatusCount:
-    """Number of the designs with a status and a code, and the first of them with its message."""
+def best_designs(table: DataFrame) -> DataFrame:
+    """Returns the designs with the status ``ok`` and all objectives, the best ones first.
 
-    status: str
-    code: str
-    count: int
-    sample: int
-    message: str
-
-
-@dataclass(frozen=True, slots=True)
-class StudyTable:
-    """The table of designs in a folder.
-
-    - ``path``: path of the Parquet file.
-    - ``description``: content of ``study.json``.
+    The column ``front`` says whether no other design surpasses the design in every objective.
+    With several objectives, the designs of the front come first, ordered by the first objective.
     """
-
-    path: Path
-    description: dict[str, Any]
-
-    @classmethod
-    def open(cls, folder: Path) -> StudyTable:
-        """Opens the table in a folder.  Raises ``OSError`` or ``ValueError`` if there is none."""
-        description = read_json((folder / DESCRIPTION).read_text(encoding="utf-8"))
-        parts = ("study", "variables", "constraints", "scenarios", "objectives")
-        if not isinstance(description, dict) or not all(part in description for part in parts):
-            raise ValueError(f"{folder / DESCRIPTION} does not describe a study")
-        return cls(folder / TABLE, description)
-
-    def designs(self) -> list[dict[str, Any]]:
-        """Returns the rows of the table in the order of the designs."""
-        names, rows = self.query("SELECT * FROM designs ORDER BY sample")
-        return [dict(zip(names, row, strict=True)) for row in rows]
-
-    def counts(self, condition: str = "true") -> list[StatusCount]:
-        """Returns the statuses and codes of the designs with a condition in SQL.
-
-        They are in the order of their first designs.
-        """
-        _, rows = self.query(
-            "SELECT status, code, count(*), min(sample), arg_min(message, sample) FROM designs"
-            f" WHERE {condition} GROUP BY status, code ORDER BY 4"
-        )
-        return [StatusCount(*row) for row in rows]
-
-    def query(self, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
-        """Returns the names of the columns and the rows of an SQL query.
-
-        The table is ``designs``.  A query reads and writes no files.  Raises ``ValueError`` if the
-        query has an error or the file is no table.
-        """
-        duckdb = definition.required("duckdb")
-        with duckdb.connect() as connection:
-            try:
-                connection.execute("SET enable_progress_bar = false")  # it would go to stdout
-                connection.execute(
-                    f"CREATE TABLE designs AS SELECT * FROM read_parquet({_text(self.path)})"
-                )
-                connection.execute("SET enable_external_access = false")
-                result = connection.execute(sql)
-                if result.description is None:
-                    return [], []
-                return [column[0] for column in result.description], result.fetchall()
-            except duckdb.Error as error:
-                raise ValueError(str(error).split("\n")[0]) from None
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """A variable, constraint or objective.
-
-    - ``kind``: ``variable``, ``constraint`` or ``objective``.
-    - ``unit``: SI unit, or empty if it is unknown or 1.
-    - ``goal``: ``minimise``, ``maximise``, or empty.
-    """
-
-    name: str
-    kind: str
-    unit: str
-    goal: str = ""
-
-    @property
-    def title(self) -> str:
-        """The name with the unit, such as ``energy (J)``."""
-        return f"{self.name} ({self.unit})" if self.unit else self.name
-
-
-def columns_of(study: Study) -> list[Column]:
-    """Returns the columns of the variables, constraints and objectives of a study."""
-    columns = [Column(v.name, "variable", variable_unit(v)) for v in study.variables]
-    columns += [Column(c.name, "constraint", fact_quantity(c.fact).unit) for c in study.constraints]
-    return columns + objective_columns(study)
-
-
-def objective_columns(study: Study) -> list[Column]:
-    """Returns the columns of the objectives of a study."""
-    columns = []
-    for objective in study.objectives:
-        metric = objective.metric.rpartition(".")[2]
-        unit = fact_quantity(objective.fact).unit if objective.fact else metric_units()[metric]
-        columns.append(Column(objective.name, "objective", unit, objective.goal))
-    return columns
-
-
-def variable_unit(variable: Variable) -> str:
-    """Returns the SI unit of the values of a variable, or an empty text."""
-    unit = variable.unit
-    if variable.choices:
-        units = {str(choice).lstrip("+-.0123456789eE").strip() for choice in variable.choices}
-        unit = units.pop() if len(units) == 1 else ""
-    try:
-        dimension = parse_unit(unit).dimension if unit else ()
-    except UnitError:
-        return ""
-    for quantity in QUANTITIES.values():
-        if dimension == quantity.dimensions[0]:
-            return si.unit_of(quantity.name)
-    return ""
+    goals = table.attrs["objectives"]
+    passed = table[table["status"] == "ok"].dropna(subset=list(goals))
+    signs = [-1.0 if goal == "maximise" else 1.0 for goal in goals.values()]
+    points = (passed[list(goals)] * signs).to_numpy().tolist()
+    on_front = set(front(points))
+    order = sorted(range(len(points)), key=lambda i: (i not in on_front, points[i]))
+    passed = passed.iloc[order]
+    passed.insert(0, "front", [index in on_front for index in order])
+    return passed
 
 
 def front(points: Sequence[Sequence[float]]) -> list[int]:
@@ -272,255 +130,150 @@ def front(points: Sequence[Sequence[float]]) -> list[int]:
 
 LEAST_SAMPLES = 16
 """Least number of complete base samples for indices."""
-CONFIDENCE = 0.95
 RESAMPLES = 500
 """Number of bootstrap resamples for the intervals."""
 
-Interval = tuple[float, float]
 
+def sensitivities(table: DataFrame) -> list[dict[str, Any]]:
+    """Returns the Sobol indices of each variable for each objective; none for another method.
 
-@dataclass(frozen=True, slots=True)
-class SobolIndex:
-    """Share of the variance of an objective that one variable causes.
-
-    - ``first_order``: share that the variable causes alone.
-    - ``total``: share that it causes alone and together with other variables.  A variable with 0
-      does not matter.
-    - ``first_order_interval``, ``total_interval``: bootstrap intervals of 95 % confidence.
+    An entry has the ``objective``, the ``variable``, the share of the variance of the objective
+    that the variable causes ``alone`` and ``with_others``, each with a bootstrap interval of 95 %
+    confidence, and the numbers of complete and incomplete base samples.  The indices are those of
+    Saltelli et al., "Variance based sensitivity analysis of model output", 2010, as implemented by
+    scipy.  They use the first complete base samples, as many as the largest power of two; with
+    fewer than ``LEAST_SAMPLES``, or for an objective with one value, there are no variables.
     """
-
-    variable: str
-    first_order: float
-    first_order_interval: Interval
-    total: float
-    total_interval: Interval
-
-
-@dataclass(frozen=True, slots=True)
-class ObjectiveSensitivity:
-    """Indices of all variables for an objective.
-
-    - ``samples``: number of base samples that were used, a power of two.
-    - ``incomplete``: number of base samples of which a design has no value.
-    - ``indices``: empty if there are too few samples, or if the objective has the same value in all
-      designs.
-    - ``is_constant``: whether the objective has the same value in all designs.
-    """
-
-    objective: str
-    samples: int
-    incomplete: int
-    indices: tuple[SobolIndex, ...]
-    is_constant: bool = False
-
-
-def sensitivities(table: StudyTable) -> list[ObjectiveSensitivity]:
-    """Returns the indices for each objective, or an empty list for another method.
-
-    The indices are those of Saltelli et al., "Variance based sensitivity analysis of model output",
-    2010, as implemented by scipy.  They use the first complete base samples, as many as the largest
-    power of two.  Equal tables give equal indices.  Raises ``MissingPackageError`` if scipy is not
-    installed.
-    """
-    description = table.description
-    if description.get("method") != "saltelli":
+    if table.attrs["method"] != "saltelli":
         return []
-    variables, objectives = description["variables"], list(description["objectives"])
-    names = ", ".join(f'"{name}"' for name in objectives)
-    _, rows = table.query(f"SELECT sample, status, {names} FROM designs ORDER BY sample")
-    size = len(variables) + 2
-    result = []
-    for column, objective in enumerate(objectives, 2):
-        groups: dict[int, list[float]] = {}
-        for row in rows:
-            group = groups.setdefault((row[0] - 1) // size, [])
-            if row[1] == "ok" and row[column] is not None:
-                group.append(row[column])
-        complete = [values for values in groups.values() if len(values) == size]
-        result.append(_sensitivity(objective, variables, complete, len(groups) - len(complete)))
-    return result
-
-
-def _sensitivity(
-    objective: str, variables: Sequence[str], groups: Sequence[Sequence[float]], incomplete: int
-) -> ObjectiveSensitivity:
-    """``groups``: values of A, B and each AB of the complete base samples."""
-    count = 1 << len(groups).bit_length() - 1 if groups else 0
-    if count < LEAST_SAMPLES:
-        return ObjectiveSensitivity(objective, count, incomplete, ())
-    values = [list(column) for column in zip(*groups[:count], strict=True)]
-    if all(value == values[0][0] for column in values for value in column):
-        return ObjectiveSensitivity(objective, count, incomplete, (), is_constant=True)
-    first, total, intervals = _indices(values)
-    indices = tuple(
-        SobolIndex(name, first[i], intervals[0][i], total[i], intervals[1][i])
-        for i, name in enumerate(variables)
-    )
-    return ObjectiveSensitivity(objective, count, incomplete, indices)
-
-
-def _indices(values: list[list[float]]) -> tuple[list[float], list[float], list[list[Interval]]]:
-    """Returns the first-order and total indices, and the intervals of both."""
-    stats = definition.required("scipy.stats")
     import numpy as np
 
-    outputs = np.array(values)
-    count = outputs.shape[1]
+    stats, variables = required("scipy.stats"), table.attrs["variables"]
+    entries: list[dict[str, Any]] = []
+    numbered = table.set_index("sample").reindex(range(1, table["sample"].max() + 1))
+    for objective in table.attrs["objectives"]:
+        valid = numbered[objective].where(numbered["status"] == "ok").to_numpy()
+        size = len(variables) + 2
+        groups = valid[: len(valid) // size * size].reshape(-1, size)
+        complete = groups[~np.isnan(groups).any(axis=1)]
+        count = 1 << len(complete).bit_length() - 1 if len(complete) else 0
+        common = {
+            "objective": objective,
+            "samples": count,
+            "incomplete": len(groups) - len(complete),
+        }
+        outputs = complete[:count].T
+        if count < LEAST_SAMPLES or (outputs == outputs[0, 0]).all():
+            entries.append(common)
+            continue
+        random, everything = np.random.default_rng(0), np.arange(count)
+        chosen = [everything, *(random.integers(0, count, count) for _ in range(RESAMPLES))]
+        first, total = zip(*(_indices(stats, outputs[:, each]) for each in chosen), strict=True)
+        for index, variable in enumerate(variables):
+            entry = {**common, "variable": variable}
+            for name, shares in (("alone", first), ("with_others", total)):
+                resampled = [share[index] for share in shares[1:]]
+                interval = np.nanquantile(resampled, [0.025, 0.975]).tolist()
+                entry |= {name: float(shares[0][index]), f"{name}_interval": interval}
+            entries.append(entry)
+    return entries
 
-    def both(chosen: Any) -> Any:
-        pair = {"f_A": outputs[:1, chosen], "f_B": outputs[1:2, chosen]}
-        with np.errstate(invalid="ignore", divide="ignore"):  # equal values in a resample
-            indices = stats.sobol_indices(func={**pair, "f_AB": outputs[2:, None, chosen]}, n=count)
-        shape = (2, outputs.shape[0] - 2)
-        return np.stack([indices.first_order, indices.total_order]).reshape(shape)
 
-    best = both(np.arange(count))
-    random = np.random.default_rng(0)
-    resampled = [both(random.integers(0, count, count)) for _ in range(RESAMPLES)]
-    tail = (1.0 - CONFIDENCE) / 2.0
-    low, high = np.nanquantile(np.array(resampled), [tail, 1.0 - tail], axis=0)
-    intervals = [
-        list(zip(lows, highs, strict=True))
-        for lows, highs in zip(low.tolist(), high.tolist(), strict=True)
-    ]
-    return best[0].tolist(), best[1].tolist(), intervals
+def _indices(stats: Any, outputs: Any) -> tuple[Any, Any]:
+    """Returns the first-order and the total index of each variable."""
+    import numpy as np
 
-
-def sensitivity_notes(shares: ObjectiveSensitivity) -> list[str]:
-    """Returns what a reader must know about the indices of an objective, as sentences."""
-    notes = []
-    if shares.is_constant:
-        notes.append(f"{shares.objective} has the same value in all designs.")
-    elif not shares.indices:
-        notes.append(
-            f"{shares.objective}: {shares.samples} complete base samples are too few for indices;"
-            f" {LEAST_SAMPLES} are needed."
-        )
-    if shares.incomplete:
-        notes.append(
-            f"{shares.objective}: {shares.incomplete} base samples are left out, because a design"
-            " of them has no value."
-        )
-    return notes
+    values = {"f_A": outputs[:1], "f_B": outputs[1:2], "f_AB": outputs[2:, None]}
+    with np.errstate(invalid="ignore", divide="ignore"):  # equal values in a resample
+        indices = stats.sobol_indices(func=values, n=outputs.shape[1])
+    return indices.first_order.ravel(), indices.total_order.ravel()
 
 
 MOST_ROWS = 20
 
 
-def summary(table: StudyTable) -> dict[str, Any]:
-    """Returns the counts by status and the best designs as JSON values.
-
-    The designs with the status ``ok`` are ordered by the objective.  With several objectives, the
-    designs of the front come first, ordered by the first objective.
-    """
-    description = table.description
-    designs = table.designs()
-    counts = Counter(design["status"] for design in designs)
-    goals = description["objectives"]
-    passed = [
-        design
-        for design in designs
-        if design["status"] == "ok" and all(design[name] is not None for name in goals)
-    ]
-    points = [
-        [-design[name] if goal == "maximise" else design[name] for name, goal in goals.items()]
-        for design in passed
-    ]
-    on_front = set(front(points))
-    order = sorted(range(len(passed)), key=lambda i: (i not in on_front, points[i]))
-    best = [{**passed[index], "front": index in on_front} for index in order]
-    result = {
-        "study": description["study"],
-        "designs": len(designs),
-        "statuses": {status: counts[status] for status in definition.STATUSES if counts[status]},
-        "objectives": goals,
-        "best": best,
+def summary(table: DataFrame) -> dict[str, Any]:
+    """Returns the counts by status, the best designs and the sensitivities as JSON values."""
+    counts = table["status"].value_counts()
+    best = best_designs(table).drop(columns=["key", "design"])
+    return {
+        "study": table.attrs["study"],
+        "designs": len(table),
+        "statuses": {name: int(counts[name]) for name in STATUSES if name in counts},
+        "objectives": table.attrs["objectives"],
+        "best": files.finite(best.to_dict("records")),
+        **({"sensitivity": shares} if (shares := sensitivities(table)) else {}),
     }
-    shares = sensitivities(table)
-    return {**result, "sensitivity": [asdict(each) for each in shares]} if shares else result
 
 
-def summary_text(table: StudyTable, width: int | None) -> str:
-    """Returns the counts by status and a table of the best designs.
+def summary_text(table: DataFrame, width: int | None = None) -> str:
+    """Returns the counts, the first messages, the best designs and the sensitivities as text.
 
-    ``width``: number of columns of the terminal, or ``None`` for one line per design.
+    ``width``: number of columns of the terminal, or ``None`` for any.
     """
-    result, description = summary(table), table.description
-    counts = ", ".join(f"{count} {status}" for status, count in result["statuses"].items())
-    lines = [f"{result['study']}: {result['designs']} designs: {counts or 'none'}"]
-    for reason in table.counts("status = 'error'" if result["best"] else "true"):
-        code, more = reason.code and f" {reason.code}", reason.count - 1
-        others = f" (and {more} more)" if more else ""
-        lines.append(f"design {reason.sample}: {reason.status}{code}: {reason.message}{others}")
-    goals = result["objectives"]
-    names = [*description["variables"], *description["constraints"], *goals]
-    is_front = len(goals) > 1
+    goals, best = table.attrs["objectives"], best_designs(table)
+    counts = table["status"].value_counts()
+    shown = ", ".join(f"{counts[name]} {name}" for name in STATUSES if name in counts)
+    lines = [f"{table.attrs['study']}: {len(table)} designs: {shown or 'none'}"]
+    failed = table[table["status"] == "error"] if len(best) else table
+    for _, group in failed.groupby(["status", "code"], sort=False):
+        first, more = group.iloc[0], f" (and {len(group) - 1} more)" if len(group) > 1 else ""
+        status = f"{first['status']} {first['code']}".rstrip()
+        lines.append(f"design {first['sample']}: {status}: {first['message']}{more}")
+    if not len(best):
+        return "\n".join([*lines, "no design meets every constraint and passes every scenario"])
+    names = [*table.attrs["variables"], *table.attrs["constraints"], *goals]
     titles = [f"{name} ({goals[name]})" if name in goals else name for name in names]
-    shown = result["best"][:MOST_ROWS]
-    if shown:
-        table_rows = [("sample", *titles, *(["front"] if is_front else []))]
-        for design in shown:
-            mark = ["*" if design["front"] else ""] if is_front else []
-            cells = [cell_text(design[name]) for name in names]
-            table_rows.append((str(design["sample"]), *cells, *mark))
-        lines += [text_table(table_rows, width), "SI units, angles in rad"]
-        if is_front:
-            count = sum(1 for design in result["best"] if design["front"])
-            lines.append(f"*: {count} designs that no other design surpasses in every objective")
-    else:
-        lines.append("no design meets every constraint and passes every scenario")
+    is_front = len(goals) > 1
+    rows = [("sample", *titles, *["front"] * is_front)]
+    for _, row in best[:MOST_ROWS].iterrows():
+        mark = ["*" if row["front"] else ""] * is_front
+        rows.append((str(row["sample"]), *(cell_text(row[name]) for name in names), *mark))
+    lines += [text_table(rows, width), "SI units, angles in rad"]
+    if is_front:
+        count = best["front"].sum()
+        lines.append(f"*: {count} designs that no other design surpasses in every objective")
     return "\n".join(lines + _sensitivity_lines(sensitivities(table), width))
 
 
-def _sensitivity_lines(shares: list[ObjectiveSensitivity], width: int | None) -> list[str]:
+def _sensitivity_lines(entries: list[dict[str, Any]], width: int | None) -> list[str]:
+    rows = [("objective", "variable", "alone", "with others")]
+    for entry in entries:
+        if "variable" in entry:
+            shares = [
+                "{:.2f} ({:.2f} to {:.2f})".format(entry[name], *entry[f"{name}_interval"])
+                for name in ("alone", "with_others")
+            ]
+            rows.append((entry["objective"], entry["variable"], *shares))
     lines = []
-    if any(each.indices for each in shares):
-        lines += ["", *text_table(sensitivity_rows(shares), width).splitlines()]
+    if len(rows) > 1:
+        lines += ["", text_table(rows, width)]
         lines.append("shares of the variance of the objective, with intervals of 95 % confidence")
-    return lines + [note for each in shares for note in sensitivity_notes(each)]
-
-
-def sensitivity_rows(shares: list[ObjectiveSensitivity]) -> list[tuple[str, ...]]:
-    """Returns the table of indices: titles, then a row for each objective and variable.
-
-    The variables of an objective are ordered by their total index.
-    """
-    table_rows: list[tuple[str, ...]] = [("objective", "variable", "alone", "with others")]
-    for each in shares:
-        for index in sorted(each.indices, key=lambda index: -index.total):
-            first = _share(index.first_order, index.first_order_interval)
-            total = _share(index.total, index.total_interval)
-            table_rows.append((each.objective, index.variable, first, total))
-    return table_rows
-
-
-def _share(value: float, interval: Interval) -> str:
-    low, high = interval
-    return f"{value:.2f} ({low:.2f} to {high:.2f})"
-
-
-def shown_unit(unit: str, values: Iterable[Any]) -> tuple[str, float]:
-    """Returns the unit in which people read values of an SI unit, and its number per SI unit.
-
-    Angles are read in degrees.  Lengths are read in mm, or in m if one of them reaches 10 m.
-    """
-    if unit == "rad":
-        return "deg", math.degrees(1.0)
-    if unit == "m" and all(abs(v) < 10.0 for v in values if isinstance(v, float)):
-        return "mm", 1000.0
-    return unit, 1.0
+    for entry in entries:
+        name, count = entry["objective"], entry["samples"]
+        if "variable" not in entry:
+            lines.append(
+                f"{name} has no indices: its {count} complete base samples are fewer than"
+                f" {LEAST_SAMPLES}, or have one value"
+            )
+        if entry["incomplete"]:
+            lines.append(f"{name}: {entry['incomplete']} base samples lack the value of a design")
+    return list(dict.fromkeys(lines))
 
 
 def quantity_text(value: float, unit: str) -> str:
-    """Returns a value of an SI unit in the unit in which people read it."""
-    shown, factor = shown_unit(unit, [value])
-    return f"{cell_text(value * factor)} {shown}".rstrip()
+    """Returns a value of an SI unit in the unit in which people read it: degrees, mm below 10 m."""
+    if unit == "rad":
+        return f"{cell_text(math.degrees(value))} deg"
+    if unit == "m" and abs(value) < 10.0:
+        return f"{cell_text(1000.0 * value)} mm"
+    return f"{cell_text(value)} {unit}".rstrip()
 
 
 def cell_text(value: Any) -> str:
     """Returns a value of the table for people: numbers with 4 digits, whole from 10,000 on."""
-    if value is None:
-        return "-"
     if not isinstance(value, float):
         return str(value)
+    if math.isnan(value):
+        return "-"
     return f"{value:.4g}" if abs(value) < 1e4 or abs(value) >= 1e7 else f"{value:.0f}"
