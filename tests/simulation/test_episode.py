@@ -6,15 +6,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.robots import FOUR_STEERED, make_robot
-from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.compiler.pipeline import compile_file, emit, load
 from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Block, Box, Fleet, Ground, Placement, Pose, Robot, World
 from thorvaldc.model.scenario import Scenario
-from thorvaldc.runtime.base_interface import JointCommands
+from thorvaldc.model.spatial import GRAVITY
+from thorvaldc.runtime.base_interface import JointCommands, JointStates
+from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
+from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.control_loop import ControlLoop, Sample
@@ -234,3 +238,172 @@ def test_a_simulation_of_a_scenario_can_be_run_with_another_motion() -> None:
     simulation = ScenarioSimulation(mission, emit(mission.fleet, ["mjcf"]))
     run = simulation.run(2.0, {"six": (0.5, 0.0, 0.0)})
     assert run.robots[0].path_true > 0.4
+
+
+# -- the state of an episode -----------------------------------------------------------------------
+
+
+def waving(sample: Sample) -> Twist:
+    return Twist(0.5 * math.cos(sample.time), 0.1, 0.3 * math.sin(2.0 * sample.time))
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"ideal": True}, {"open_loop": True}], ids=["MuJoCo", "ideal", "open loop"]
+)
+def test_an_episode_goes_on_from_a_saved_state(options: dict[str, bool]) -> None:
+    """To the last bit, as often as wanted, also from the middle of a ramp and after a reset."""
+    episode = Episode(ROBOT, **options)
+    episode.reset()
+    episode.run(1.3, waving)
+    state = episode.save()
+    ends = []
+    for _ in range(2):
+        ends.append(repr(episode.run(3.0, waving)))
+        if not ends[1:]:
+            episode.reset()
+            episode.run(0.5, (lambda sample: Twist(-0.3, 0.0, 0.5)))
+        assert episode.reset(state=state).time == state.time == pytest.approx(1.3)
+    assert ends[0] == ends[1] == repr(episode.run(3.0, waving))
+
+
+def test_a_saved_state_has_the_joint_commands_and_the_estimate() -> None:
+    episode = Episode(ROBOT)
+    episode.reset()
+    commands = JointCommands([2.0] * 4, [0.3] * 4)
+    for _ in range(40):
+        episode.step(commands)
+    state = episode.save()
+    expected = repr([episode.step(commands) for _ in range(40)])
+    episode.reset(state=state)
+    assert repr([episode.step(commands) for _ in range(40)]) == expected
+
+
+def test_a_saved_state_has_faults_noise_and_sensors() -> None:
+    """A wheel is on ice when the state is saved; noise and messages go on as they did."""
+    model = compile_file(EXAMPLES / "scenarios/field_edge.yaml").scenario
+    assert model is not None
+    episode = Episode(model)
+    messages: list[str] = []
+    episode.sensors.listeners.append(lambda sensor, message: messages.append(repr(message)))
+    assert episode.scene is not None
+    friction = episode.scene.model.geom_friction.copy()
+    episode.reset()
+    episode.run(8.0)
+    state = episode.save()
+    on_ice = episode.scene.model.geom_friction.copy()
+    assert (on_ice != friction).any()
+    messages.clear()
+    end, heard = repr(episode.run(10.0)), [*messages]
+    assert heard
+    episode.reset()
+    assert (episode.scene.model.geom_friction == friction).all()
+    episode.reset(state=state)
+    assert (episode.scene.model.geom_friction == on_ice).all()
+    messages.clear()
+    assert repr(episode.run(10.0)) == end
+    assert messages == heard
+    episode.reset()
+    assert (episode.scene.model.geom_friction == friction).all()
+    assert repr(episode.run(10.0)) == end
+
+
+class Counting(General):
+    """The calculator of a plug-in, which is interpreted also in the compiled runtime."""
+
+    commanded = 0
+
+    def command(self, twist: Twist, joints: JointStates, dt: float) -> Any:
+        self.commanded += 1
+        return super().command(twist, joints, dt)
+
+
+def test_a_saved_state_has_the_attributes_of_a_plug_in() -> None:
+    episode = Episode(ROBOT)
+    episode.reset()
+    driver = episode.loops[ROBOT.name].driver
+    driver.calculator = Counting(BaseGeometry.from_robot(ROBOT))
+    driver.calculator.reset(driver.state.joints)
+    for _ in range(5):
+        episode.step(Twist(0.3, 0.0, 0.0))
+    state = episode.save()
+    for _ in range(5):
+        episode.step()
+    episode.reset(state=state)
+    restored = episode.loops[ROBOT.name].driver.calculator
+    assert isinstance(restored, Counting)
+    assert restored.commanded == 5
+    restored.opened = (number for number in ())  # type: ignore[attr-defined]
+    with pytest.raises(DiagnosticError, match=r"cannot be saved: .*generator"):
+        episode.save()
+
+
+def test_a_state_belongs_to_its_episode() -> None:
+    episode, other = Episode(ROBOT, ideal=True), Episode(ROBOT, ideal=True)
+    with pytest.raises(DiagnosticError, match="was not started"):
+        episode.save()
+    episode.reset()
+    with pytest.raises(DiagnosticError, match="another episode"):
+        other.reset(state=episode.save())
+
+
+def test_what_mujoco_has_can_be_set_in_an_episode() -> None:
+    """Velocities and joints, for a start in motion."""
+    episode = Episode(ROBOT)
+    episode.reset()
+    assert episode.scene is not None
+    episode.scene.data.qvel[:2] = 0.4, 0.0
+    assert episode.step(Twist(0.4, 0.0, 0.0)).true.vx > 0.2
+
+
+# -- forces and slip of the wheels -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["4wd4ws_wide", "lss", "rocker_bogie", "1wd1ws_rear"])
+def test_the_forces_of_the_wheels_carry_and_accelerate_the_robot(name: str) -> None:
+    robot = load(EXAMPLES / name / "robot.yaml")
+    episode = Episode(robot)
+    episode.reset()
+    for _ in range(10):  # into the ramp
+        before = episode.step(Twist(0.5, 0.0, 0.0))
+    after = episode.step(Twist(0.5, 0.0, 0.0))
+    contacts = episode.wheel_contacts()
+    weight = robot.inertial.mass * GRAVITY
+    assert sum(contact.force[2] for contact in contacts) == pytest.approx(weight, rel=0.03)
+    acceleration = (after.true.vx - before.true.vx) / (after.time - before.time)
+    pushed = sum(contact.force[0] for contact in contacts)
+    assert pushed == pytest.approx(robot.inertial.mass * acceleration, rel=0.15)
+    assert [contact.name for contact in contacts] == [wheel.name for wheel in robot.wheels]
+
+
+def test_the_frame_of_a_steered_wheel_turns_with_it() -> None:
+    """On the spot, all wheels roll on a circle: they push along it, and none slides sideways."""
+    episode = Episode(ROBOT)
+    episode.reset()
+    episode.run(2.0, lambda sample: Twist(0.0, 0.0, 0.4))
+    rolling = episode.wheel_contacts()
+    assert all(abs(slip) < 0.01 for contact in rolling for slip in contact.slip)
+    episode.run(2.1, lambda sample: Twist(0.0, 0.0, 1.0))
+    signs = {math.copysign(1.0, contact.force[0]) for contact in episode.wheel_contacts()}
+    assert signs == {1.0, -1.0}  # left wheels roll backwards
+
+
+def test_a_spinning_wheel_slips() -> None:
+    """On ice, the wheels turn faster than they roll; a robot that is pushed sideways slides."""
+    episode = Episode(ROBOT)
+    assert episode.scene is not None
+    episode.scene.model.geom_friction[:, 0] = 0.02
+    episode.reset()
+    for _ in range(20):
+        sample = episode.step(Twist(1.0, 0.0, 0.0))
+    assert sample.joints is not None
+    for wheel, contact, speed in zip(
+        ROBOT.wheels, episode.wheel_contacts(), sample.joints.speeds, strict=True
+    ):
+        assert contact.slip[0] == pytest.approx(sample.true.vx - speed * wheel.radius, abs=0.03)
+        assert contact.slip[0] < -0.1
+        assert 0.0 < contact.force[0] <= 0.021 * contact.force[2]
+    episode.scene.data.qvel[1] = 0.5
+    episode.step(Twist(1.0, 0.0, 0.0))
+    assert all(contact.slip[1] > 0.2 for contact in episode.wheel_contacts())
+    with pytest.raises(DiagnosticError, match="ideal joints have no contacts"):
+        Episode(ROBOT, ideal=True).wheel_contacts()

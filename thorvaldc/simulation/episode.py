@@ -24,6 +24,7 @@ from thorvaldc.simulation.control_loop import (
     Segment,
     TickCallback,
 )
+from thorvaldc.simulation.episode_state import EpisodeState
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoScene
 from thorvaldc.simulation.physics.scenario_base import ScenarioBase
@@ -31,6 +32,7 @@ from thorvaldc.simulation.physics.sim_base import RollingBase, SimBase, WheelErr
 
 if TYPE_CHECKING:
     from thorvaldc.model.scenario import SensorSettings
+    from thorvaldc.simulation.physics.wheel_contacts import WheelContact
     from thorvaldc.simulation.records.recorder import Recorder
     from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
 
@@ -206,13 +208,38 @@ class Episode:
 
     # -- an episode --------------------------------------------------------------------------------
 
-    def reset(self, seed: int | None = None) -> Sample:
+    def reset(self, seed: int | None = None, state: EpisodeState | None = None) -> Sample:
         """Starts at rest, at the poses ``starts``; returns the sample of the first control cycle.
 
         ``seed``: seed of the sensor noise of a scenario, by default that of the scenario.
+        ``state``: a state that this episode has saved, from which it goes on as it did.
         """
+        if state is not None:
+            return self._restore(state)
         self.begin(seed)
         self.advance(0.0)
+        return self.sample()
+
+    def save(self) -> EpisodeState:
+        """Returns the state of the robots, their drivers, the scene and the sensors, for
+        ``reset(state=...)``.
+
+        Raises ``DiagnosticError`` if the episode was not started, if its scene is one of a batch,
+        or if the driver has a part that cannot be copied, such as an open file of a plug-in.
+        """
+        self._loop(self.name)
+        sensors = None if self._suite is None else self._suite.state
+        content = (self.loops, self._schedule, self._bases, self.collisions, sensors)
+        return EpisodeState(self, self.time, content, self.scene)
+
+    def _restore(self, state: EpisodeState) -> Sample:
+        if state.owner is not self:
+            raise DiagnosticError("simulation-scene", "the state was saved by another episode")
+        restored = state.restore(self.scene)
+        self.loops, self._schedule, self._bases, self.collisions, sensors = restored
+        self._in_order, self.time = [*self.loops.values()], state.time
+        if self._suite is not None and sensors is not None:
+            self._suite.state = sensors
         return self.sample()
 
     def step(self, command: Command | Mapping[str, Command] = None) -> Sample:
@@ -266,6 +293,19 @@ class Episode:
     def sample(self, robot: str = "") -> Sample:
         """Returns the measurements of a robot at its last control cycle."""
         return self._loop(robot or self.name).sample()
+
+    def wheel_contacts(self, robot: str = "") -> tuple[WheelContact, ...]:
+        """Returns the force (N) and the slip (m/s) of each wheel of a robot, in the wheel's frame.
+
+        They are those of the last step of the physics, in the order of ``Robot.wheels``.  Raises
+        ``DiagnosticError`` for ideal joints, which have no contacts.
+        """
+        if self.scene is None:
+            raise DiagnosticError("simulation-scene", "ideal joints have no contacts")
+        # Runs without forces do not import numpy for them.
+        from thorvaldc.simulation.physics.wheel_contacts import wheel_contacts
+
+        return wheel_contacts(self.robots[self._loop(robot or self.name).name], self.scene)
 
     @property
     def diverged(self) -> bool:

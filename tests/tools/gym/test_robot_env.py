@@ -12,12 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.cli.conftest import UNPOWERED
 from tests.outside_tools import require
 from tests.slow import mostly_slow
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.simulation.pictures import render
 from thorvaldc.tools.gym import environments
+from thorvaldc.tools.gym.robot_env import RobotEnv
 
 ROOT = Path(__file__).resolve().parents[3]
 SLIM = ROOT / "examples/4wd4ws_slim/robot.yaml"
@@ -240,10 +242,83 @@ def test_injected_faults_end_between_episodes(gymnasium: Any) -> None:
     assert (env.scene.model.geom_friction == before).all()
 
 
+RANDOM = {
+    "world.friction": (0.3, 0.8),
+    "faults.0.until": ["9 s", "11 s"],
+    "modules.frame.params.width": ("0.7 m", "0.9 m"),
+    "noise.wheel_speed": lambda random: random.normal(0.02, 0.001),
+}
+
+
+def test_each_reset_draws_another_robot_and_another_world(gymnasium: Any) -> None:
+    """The values follow from the seed, and the robot that drives is the one with the values."""
+    env = environment(gymnasium, FIELD, randomize=RANDOM).unwrapped
+    drawn = []
+    for seed in (1, 2, 1):
+        _, info = env.reset(seed=seed)
+        drawn.append(info["values"])
+        compilation = compile_file(FIELD, set=info["values"])
+        assert compilation.scenario is not None
+        assert env.robot == compilation.scenario.fleet.placements[0].robot
+        assert env.episode.scenario == compilation.scenario
+        assert 0.3 <= info["values"]["world.friction"] <= 0.8
+        assert info["values"]["faults.0.until"] in ("9 s", "11 s")
+    assert drawn[0] == drawn[2] != drawn[1]
+    _, info = env.reset(seed=1, options={"set": {"world.friction": 0.5}})
+    assert info["values"] == {**drawn[0], "world.friction": 0.5}
+    observation = env.step(np.ones(3))[0]
+    assert env.observation_space.contains(observation)
+
+
+def test_values_that_no_environment_can_have(gymnasium: Any, tmp_path: Path) -> None:
+    for randomize, message in (
+        ({"world.friction": (0.8, 0.3)}, "no range of `world.friction`"),
+        ({"world.friction": (0.3, 0.5, 0.8)}, "no range of `world.friction`"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            environment(gymnasium, FIELD, randomize=randomize)
+    env = environment(gymnasium, SLIM, randomize={"driver.rat": [1]}).unwrapped
+    with pytest.raises(ValueError, match=r"driver\.rat: error"):
+        env.reset(seed=1)
+    (tmp_path / "good.yaml").write_text(UNPOWERED)
+    removed = {"modules.rl.type": ["none"]}
+    env = environment(gymnasium, tmp_path / "good.yaml", randomize=removed).unwrapped
+    with pytest.raises(ValueError, match=r"the wheels of .* are others"):
+        env.reset(seed=1)
+    with pytest.raises(ValueError, match="a batch has one model"):
+        gymnasium.make_vec(environments.NAME, 2, file=str(SLIM), randomize={"name": ["a"]})
+    plain = RobotEnv(compile_file(SLIM).model)
+    with pytest.raises(ValueError, match="new values need a file"):
+        plain.reset(options={"set": {"driver.rate": "50 Hz"}})
+
+
+def test_the_checker_passes_with_other_robots(gymnasium: Any) -> None:
+    from gymnasium.utils.env_checker import check_env
+
+    width = {"modules.frame.params.width": ("0.7 m", "0.9 m")}
+    env = environment(gymnasium, SLIM, randomize=width)
+    check_env(env.unwrapped, skip_render_check=True)
+    env.close()
+    envs = gymnasium.make_vec(
+        environments.NAME, 2, vectorization_mode="sync", file=str(SLIM), randomize=width
+    )
+    _, info = envs.reset(seed=[3, 4])
+    first, second = info["values"]["modules.frame.params.width"]
+    assert first != second
+    envs.close()
+
+
 @pytest.mark.parametrize("mode", mostly_slow(["sync", "async"]))
 def test_several_environments(gymnasium: Any, mode: str) -> None:
+    # A forked process would inherit the locks of the threads that numpy and MuJoCo have here.
+    processes = {"vector_kwargs": {"context": "spawn"}} if mode == "async" else {}
     envs = gymnasium.make_vec(
-        environments.NAME, 2, vectorization_mode=mode, file=str(SLIM), spread=(0.1, 0.1, 0.1)
+        f"thorvaldc.tools.gym.environments:{environments.NAME}",
+        2,
+        vectorization_mode=mode,
+        file=str(SLIM),
+        spread=(0.1, 0.1, 0.1),
+        **processes,
     )
     try:
         observation, info = envs.reset(seed=[3, 4])

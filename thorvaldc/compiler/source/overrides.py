@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import Node, Value
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Report, Span
 
@@ -73,6 +74,54 @@ def parse_choices(text: str) -> tuple[str, tuple[Node, ...]]:
     if not isinstance(node.value, tuple) or not node.value:
         raise ValueError(f"{text!r} has no value")
     return path, node.value
+
+
+# A quantity is a number with an optional unit, for example `-0.5 deg`.
+_LIMIT = re.compile(
+    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s.][^.]*?)?\s*", re.ASCII
+)
+
+
+class Range(NamedTuple):
+    """Values from ``least`` to ``most``, which have the unit ``unit``, or are whole numbers."""
+
+    least: float
+    most: float
+    unit: str
+    whole: bool
+
+    @classmethod
+    def parse(cls, low: str, high: str) -> Range | None:
+        """Reads the limits of a range, which have one unit; a limit of 0 needs none.
+
+        Returns ``None`` if they are no range.
+        """
+        first, last = _LIMIT.fullmatch(low), _LIMIT.fullmatch(high)
+        if first is None or last is None:
+            return None
+        least, most = float(first[1]), float(last[1])
+        units = {m[2] or "" for m in (first, last) if m[2] or float(m[1]) != 0.0}
+        if len(units) > 1 or not least < most:
+            return None
+        unit = "".join(units)
+        whole = not unit and all(re.fullmatch(r"\s*[-+]?\d+\s*", text) for text in (low, high))
+        return cls(least, most, unit, whole)
+
+    def at(self, fraction: float) -> Value:
+        """Returns the value at a fraction from 0 to 1 of the range."""
+        if self.whole:
+            return min(int(self.least + fraction * (self.most - self.least + 1)), int(self.most))
+        return self.quantity(self.least + fraction * (self.most - self.least))
+
+    def quantity(self, value: float) -> Value:
+        """Returns a value as a document contains it.
+
+        It has 6 significant digits, because people read it in a robot file.
+        """
+        if self.whole:
+            return round(value)
+        number = float(f"{value:.6g}")
+        return f"{number!r} {self.unit}" if self.unit else number
 
 
 def with_span(node: Node, span: Span) -> Node:

@@ -61,6 +61,23 @@ class SensorSuite(dict[str, SimulatedSensor]):
             sensor.reset()
         self._seen.update()
 
+    @property
+    def state(self) -> tuple[dict[str, int], dict[str, float], dict[str, dict[str, object]]]:
+        """The counts and the due times of the sensors, and the attributes of each; can be set."""
+        own = {name: {**vars(sensor)} for name, sensor in self.items()}
+        for attributes in own.values():
+            del attributes["seen"]
+        return self._counts, self._due, own
+
+    @state.setter
+    def state(
+        self, value: tuple[dict[str, int], dict[str, float], dict[str, dict[str, object]]]
+    ) -> None:
+        self._counts, self._due, own = value
+        for name, attributes in own.items():
+            vars(self[name]).update(attributes)
+        self._seen.update()
+
     def advance(self, now: float) -> None:
         """Runs the scene from one due measurement to the next, up to the time ``now`` (s)."""
         scene, times = self._scene, self._due

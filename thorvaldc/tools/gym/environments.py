@@ -9,7 +9,8 @@ registers the environment with Gymnasium.  Example::
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,7 +57,8 @@ def make(
     """
     from thorvaldc.tools.gym.robot_env import RobotEnv
 
-    return RobotEnv(*_compiled(file, scenario, library, trust), **options)
+    compiled = partial(_compiled, file, scenario, library, trust)
+    return RobotEnv(*compiled(None), recompile=compiled, **options)
 
 
 def make_batch(
@@ -75,16 +77,21 @@ def make_batch(
     """
     from thorvaldc.tools.gym.robot_vector_env import RobotVectorEnv
 
-    return RobotVectorEnv(*_compiled(file, scenario, library, trust), num_envs, **options)
+    return RobotVectorEnv(*_compiled(file, scenario, library, trust, None), num_envs, **options)
 
 
 def _compiled(
-    file: str | Path, scenario: str | Path | None, library: Sequence[str | Path], trust: bool
+    file: str | Path,
+    scenario: str | Path | None,
+    library: Sequence[str | Path],
+    trust: bool,
+    changes: Mapping[str, object] | None,
 ) -> tuple[Robot | Fleet | Scenario, dict[str, bytes]]:
-    """Returns the model of a file and its MJCF files."""
+    """Returns the model of a file with new values by their paths, and its MJCF files."""
     folders = [Path(folder) for folder in library]
+    robot = file if scenario else None
     compilation = compile_file(
-        scenario or file, library=folders, robot=file if scenario else None, trust=trust
+        scenario or file, library=folders, robot=robot, set=changes, trust=trust
     )
     if compilation.model is None:
         errors = "\n".join(

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thorvaldc.compiler.source.overrides import Range
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.model import Fleet, Robot
@@ -155,6 +156,11 @@ class Transition:
 
 
 Reward = Callable[[Transition], float]
+Model = Robot | Fleet | Scenario
+Recompile = Callable[[Mapping[str, object]], tuple[Model, Mapping[str, bytes]]]
+"""A function that returns a model with new values by their paths, and its MJCF files."""
+Choice = tuple[object, object] | list[Any] | Callable[[np.random.Generator], object]
+"""A range of a value (two numbers or quantities), listed values, or a function that draws one."""
 
 
 class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
@@ -191,6 +197,10 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     Reward: the value of the function ``reward``, or 0 without a reward function.
 
+    Domain randomisation: with ``randomize``, each ``reset`` draws new values for entries of the
+    file, such as ``{"world.friction": (0.3, 0.8), "faults.0.error": ("-1 %", "1 %")}``, and
+    compiles the robots and the world with them.  The ``info`` of ``reset`` then has ``values``.
+
     An episode is terminated when the robot falls over or the simulation diverges.  An episode is
     truncated after ``duration`` s.  The random start pose and the noise of a scenario depend only
     on the seed of ``reset``.
@@ -201,7 +211,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     def __init__(
         self,
-        model: Robot | Fleet | Scenario,
+        model: Model,
         files: Path | str | Mapping[str, bytes] | None = None,
         *,
         robot: str = "",
@@ -214,6 +224,8 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         render_mode: str | None = None,
         size: tuple[int, int] = (640, 360),
         scene: MujocoScene | None = None,
+        randomize: Mapping[str, Choice] | None = None,
+        recompile: Recompile | None = None,
     ) -> None:
         """Loads the MuJoCo scene of the environment.
 
@@ -233,6 +245,10 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         * ``render_mode``: ``rgb_array``, or ``None`` for an environment without pictures.
         * ``size``: width and height of a picture in pixels.
         * ``scene``: scene of ``files`` that was loaded before.  By default, it is loaded.
+        * ``randomize``: values that ``reset`` draws, by their paths in the file, as in the option
+          ``--set``: a tuple of two limits, a list, or a function of a generator of numpy.
+        * ``recompile``: function that compiles the file with new values; ``gymnasium.make`` gives
+          it.
 
         Raises ``DiagnosticError`` if the scene does not belong to the model.  Raises
         ``PictureError`` if a render mode is set and MuJoCo cannot draw.  Raises ``ValueError`` if
@@ -241,25 +257,25 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         _check(action, rate, duration, spread, render_mode)
         self.render_mode = render_mode
         prepare_drawing(render_mode)
-        self.episode = Episode(model, files, parameters, robot=robot, scene=scene)
-        self.name = self.episode.name
-        self.robot = self.episode.robots[self.name]
-        settings = Parameters.from_robot(self.robot, parameters).settings
+        self._drawn = {path: _draw(path, choice) for path, choice in (randomize or {}).items()}
+        self._recompile = recompile
+        if self._drawn and (recompile is None or scene is not None):
+            raise ValueError(
+                "`randomize` needs a file that is compiled anew, as in `gymnasium.make(...,"
+                " file=FILE)` and `make_vec(..., vectorization_mode='sync')`; a batch has one model"
+            )
+        self._parameters, self._action = parameters, action
         self.reward = reward
         self.spread = tuple(spread)
+        self.episode = Episode(model, files, parameters, robot=robot, scene=scene)
+        self.name = self.episode.name
+        self._use_robot()
         ticks = max(1, round(self.robot.driver.rate / rate))
         self.period = ticks / self.robot.driver.rate
         scenario = self.episode.scenario
         default = scenario.duration if scenario is not None else DURATION
         self.duration = duration or default
         self.metadata = {**type(self).metadata, "render_fps": round(1.0 / self.period)}
-        self._limits = (
-            settings.max_linear_velocity,
-            settings.max_linear_velocity,
-            settings.max_angular_velocity,
-        )
-        self._action = action
-        self._joints = JointActions(self.robot)
         self.action_names, self.observation_names = _names(self.robot, action)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(self.action_names),), np.float32)
         start = self.episode.starts[self.name]
@@ -278,12 +294,17 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         """Starts an episode and returns the first observation and ``info``.
 
         ``options["offset"]`` (x in m, y in m, yaw in rad) replaces the random offset of the start
-        pose.  Raises ``ValueError`` for another option.
+        pose, ``options["set"]`` values of the file by their paths.  Raises ``ValueError`` for
+        another option, and if the file with the values has errors or other wheels.
         """
         super().reset(seed=seed)
         for option in options or {}:
-            if option != "offset":
-                raise ValueError(f"there is no option {option!r} of `reset`, only 'offset'")
+            if option not in ("offset", "set"):
+                raise ValueError(f"`reset` has the options 'offset' and 'set', not {option!r}")
+        values = {path: draw(self.np_random) for path, draw in self._drawn.items()}
+        values |= (options or {}).get("set", {})
+        if values:
+            self._compile_with(values)
         random_offset = self.np_random.uniform(-1.0, 1.0, 3) * self.spread
         noise_seed = int(self.np_random.integers(2**31))
         offset = (options or {}).get("offset")
@@ -297,7 +318,26 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self._command(np.zeros(len(self.action_names)))
         self._steps = 0
         self._advance()
-        return self._observation(), self._info("")
+        info = self._info("")
+        return self._observation(), {**info, "values": values} if values else info
+
+    def _compile_with(self, values: Mapping[str, object]) -> None:
+        """Replaces the episode by one of the file with new values."""
+        if self._recompile is None:
+            raise ValueError("new values need a file: gymnasium.make(..., file=FILE)")
+        self.close()
+        self.episode = Episode(*self._recompile(values), self._parameters, robot=self.name)
+        self._use_robot()
+        if _names(self.robot, self._action) != (self.action_names, self.observation_names):
+            raise ValueError(f"the wheels of {self.name} are others with the values {values}")
+
+    def _use_robot(self) -> None:
+        """Reads the limits and the joints of the controlled robot."""
+        self.robot = self.episode.robots[self.name]
+        settings = Parameters.from_robot(self.robot, self._parameters).settings
+        linear = settings.max_linear_velocity
+        self._limits = (linear, linear, settings.max_angular_velocity)
+        self._joints = JointActions(self.robot)
 
     def step(self, action: NDArray[np.float32]) -> Step:
         self.start_step(action)
@@ -413,6 +453,18 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             "collisions": self._collisions,
         }
         return {**info, "cause": cause} if cause else info
+
+
+def _draw(path: str, choice: Choice) -> Callable[[np.random.Generator], object]:
+    """Returns a function that draws a value."""
+    if callable(choice):
+        return lambda random: np.asarray(choice(random)).item()
+    if isinstance(choice, list):
+        return lambda random: choice[int(random.integers(len(choice)))]
+    values = Range.parse(*map(str, choice)) if len(choice) == 2 else None
+    if values is None:
+        raise ValueError(f"{choice!r} is no range of `{path}`, such as ('0.8 m', '1.2 m')")
+    return lambda random: values.at(float(random.uniform()))
 
 
 def _check(

@@ -46,10 +46,11 @@ def designs_of(plan: StudyPlan) -> list[Design]:
 
 def _grid_values(number: int, variable: Variable) -> list[Value]:
     """Returns the listed values, or equally spaced values with both limits of the range."""
-    if variable.choices:
+    limits = variable.range
+    if limits is None:
         return list(variable.choices)
-    step = (variable.most - variable.least) / max(number - 1, 1)
-    values = (variable.quantity(variable.least + step * i) for i in range(number))
+    step = (limits.most - limits.least) / max(number - 1, 1)
+    values = (limits.quantity(limits.least + step * i) for i in range(number))
     return list(dict.fromkeys(values))  # whole numbers can repeat
 
 
@@ -104,12 +105,13 @@ def distributions_of(plan: StudyPlan) -> dict[str, Any]:
     kinds = required("optuna").distributions
     distributions = {}
     for v in plan.variables:
-        if v.choices:
+        if v.range is None:
             distributions[v.name] = kinds.CategoricalDistribution(range(len(v.choices)))
-        elif v.whole:
-            distributions[v.name] = kinds.IntDistribution(round(v.least), round(v.most))
+        elif v.range.whole:
+            limits = round(v.range.least), round(v.range.most)
+            distributions[v.name] = kinds.IntDistribution(*limits)
         else:
-            distributions[v.name] = kinds.FloatDistribution(v.least, v.most)
+            distributions[v.name] = kinds.FloatDistribution(v.range.least, v.range.most)
     return distributions
 
 
@@ -129,11 +131,11 @@ def trial_of(
     state = "COMPLETE" if is_measured else _STATES.get(result["status"], "FAIL")
     parameters: dict[str, Any] = {}
     for v, value in zip(plan.variables, design, strict=True):
-        if v.choices:
+        if v.range is None:
             parameters[v.name] = v.choices.index(value)
         else:
             number = value if isinstance(value, int | float) else float(str(value).split()[0])
-            parameters[v.name] = min(max(number, v.least), v.most)
+            parameters[v.name] = min(max(number, v.range.least), v.range.most)
     return optuna.create_trial(
         state=optuna.trial.TrialState[state],
         params=parameters,
@@ -178,7 +180,7 @@ class DesignSearch:
         self._batch = [self._study.ask(self._distributions) for _ in range(count)]
         return [
             tuple(
-                v.choices[parameter] if v.choices else v.quantity(parameter)
+                v.choices[parameter] if v.range is None else v.range.quantity(parameter)
                 for v, parameter in ((v, trial.params[v.name]) for v in self._plan.variables)
             )
             for trial in self._batch

@@ -10,7 +10,6 @@ import hashlib
 import json
 import math
 import os
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from thorvaldc.compiler.result import Compilation, Compile, SourceFile
 from thorvaldc.compiler.scenario.fleet_compilation import open_named_file
 from thorvaldc.compiler.scenario.scenario_compilation import compile_scenario, metric_units
 from thorvaldc.compiler.source.node import Node, Value
-from thorvaldc.compiler.source.overrides import Change
+from thorvaldc.compiler.source.overrides import Change, Range
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
 from thorvaldc.compiler.values.document_section import read_document
 from thorvaldc.compiler.values.value_reader import ValueReader, entries, items
@@ -44,11 +43,6 @@ _ALWAYS_WRONG = ("module-type-unknown", "param-unknown", "variation-path")
 Design = tuple[Value, ...]
 """The value of each variable of a study, in the order of the study file."""
 
-# A quantity is a number with an optional unit, for example `-0.5 deg`.
-_LIMIT = re.compile(
-    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s.][^.]*?)?\s*", re.ASCII
-)
-
 
 @dataclass(frozen=True, slots=True)
 class Variable:
@@ -58,40 +52,25 @@ class Variable:
     ----------
     paths : dotted paths of the values, of a scenario with its name before: ``go.world.friction``.
     choices : listed values.  Empty for a range.
-    least, most : limits of the range, in ``unit``.
-    unit : unit of the limits, as in the study file.
-    whole : if true, the values of the range are whole numbers.
+    range : range of the values, or ``None`` for listed ones.
     """
 
     name: str
     paths: tuple[str, ...]
     choices: tuple[Value, ...]
-    least: float = 0.0
-    most: float = 0.0
-    unit: str = ""
-    whole: bool = False
+    range: Range | None = None
 
     def at(self, fraction: float) -> Value:
         """Returns the value at a fraction from 0 to 1 of the range or of the listed values."""
-        if self.choices:
-            return self.choices[min(int(fraction * len(self.choices)), len(self.choices) - 1)]
-        if self.whole:
-            return min(int(self.least + fraction * (self.most - self.least + 1)), int(self.most))
-        return self.quantity(self.least + fraction * (self.most - self.least))
-
-    def quantity(self, value: float) -> Value:
-        """Returns a value in the unit of the variable as a document contains it.
-
-        It has 6 significant digits, because people read it in a robot file.
-        """
-        if self.whole:
-            return round(value)
-        number = float(f"{value:.6g}")
-        return f"{number!r} {self.unit}" if self.unit else number
+        if self.range is not None:
+            return self.range.at(fraction)
+        return self.choices[min(int(fraction * len(self.choices)), len(self.choices) - 1)]
 
     def tested_values(self) -> tuple[Value, ...]:
         """Returns the listed values, or the limits of the range."""
-        return self.choices or (self.quantity(self.least), self.quantity(self.most))
+        if self.range is not None:
+            return (self.range.quantity(self.range.least), self.range.quantity(self.range.most))
+        return self.choices
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,35 +298,23 @@ class _StudyReader:
                 continue
             paths = tuple(str(path.value) for path in items(node.get("paths")))
             values = tuple(item.value for item in items(choices) if item.value is not None)
-            variable: Variable | None = Variable(name, paths, values)
+            limits = None
             if least is not None and most is not None:
-                variable = self._range(name, paths, str(least.value), str(most.value), node)
-            if variable is None or not (variable.choices or has_range):
+                limits = Range.parse(str(least.value), str(most.value))
+                if limits is None:
+                    self.report.add(
+                        "study-value",
+                        f"`{least.value}` to `{most.value}` is no range of `{name}`",
+                        node.where,
+                        hint="a range has two numbers with the same unit, the smaller one first",
+                    )
+            if not values and limits is None:
                 continue
+            variable = Variable(name, paths, values, limits)
             tested = items(choices) or [Node(v, node.where) for v in variable.tested_values()]
             path_nodes = items(node.get("paths"))
             if all(self._is_possible(variable, value, path_nodes) for value in tested):
                 yield variable
-
-    def _range(
-        self, name: str, paths: tuple[str, ...], low: str, high: str, node: Node
-    ) -> Variable | None:
-        """Reads a range of values, whose limits have one unit; a limit of 0 needs none."""
-        first, last = _LIMIT.fullmatch(low), _LIMIT.fullmatch(high)
-        if first is not None and last is not None:
-            least, most = float(first[1]), float(last[1])
-            units = {m[2] or "" for m in (first, last) if m[2] or float(m[1]) != 0.0}
-            if len(units) < 2 and least < most:
-                unit = "".join(units)
-                whole = not unit and all(re.fullmatch(r"\s*[-+]?\d+\s*", t) for t in (low, high))
-                return Variable(name, paths, (), least, most, unit, whole)
-        self.report.add(
-            "study-value",
-            f"`{low}` to `{high}` is no range of `{name}`",
-            node.where,
-            hint="a range has two numbers with the same unit, the smaller one first",
-        )
-        return None
 
     def _is_possible(self, variable: Variable, value: Node, paths: tuple[Node, ...]) -> bool:
         """Compiles the robot and the scenarios with a value of a variable.
