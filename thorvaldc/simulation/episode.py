@@ -229,15 +229,17 @@ class Episode:
         """
         self._loop(self.name)
         sensors = None if self._suite is None else self._suite.state
-        content = (self.loops, self._schedule, self._bases, self.collisions, sensors)
-        return EpisodeState(self, self.time, content, self.scene)
+        parts = (self.loops, self._schedule, self._in_order, self._bases, self.collisions, sensors)
+        return EpisodeState(self, self.time, parts, self.scene)
 
     def _restore(self, state: EpisodeState) -> Sample:
         if state.owner is not self:
             raise DiagnosticError("simulation-scene", "the state was saved by another episode")
-        restored = state.restore(self.scene)
-        self.loops, self._schedule, self._bases, self.collisions, sensors = restored
-        self._in_order, self.time = [*self.loops.values()], state.time
+        state.restore()
+        self.loops, self._schedule, self._in_order, self._bases, self.collisions, sensors = (
+            state.parts
+        )
+        self.time = state.time
         if self._suite is not None and sensors is not None:
             self._suite.state = sensors
         return self.sample()

@@ -1,11 +1,19 @@
-"""The state of an episode at one instant, from which it goes on as it did, to the last bit."""
+"""The state of an episode at one instant, from which it goes on as it did, to the last bit.
+
+The objects of an episode stay the same: the state has the values of their attributes and the
+contents of their containers, and ``restore`` puts them back.  So objects of the compiled runtime
+need no copy, and a program may keep a robot's control loop.
+"""
 
 from __future__ import annotations
 
 import copy
-import io
-import pickle
-from types import FunctionType, ModuleType
+import random
+from collections import deque
+from collections.abc import Callable, Iterator
+from enum import Enum
+from functools import partial
+from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any
 
 from thorvaldc.diagnostics import DiagnosticError
@@ -16,90 +24,141 @@ _CHANGED = (
     *("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
 )
 """Arrays of the MuJoCo model that faults, zones and motors without power change."""
-_SHARED_PACKAGES = ("thorvaldc.model", "thorvaldc.simulation.sensors", "mujoco")
-"""Objects of these packages are not copied: they do not change, or are the scene's own."""
+_CONSTANT: tuple[type, ...] = (
+    *(int, float, complex, str, bytes, type(None), range, slice, Enum, type),
+    *(FunctionType, BuiltinFunctionType, MethodType, ModuleType, MujocoScene),
+)
+_CONSTANT_PACKAGES = ("thorvaldc.model", "thorvaldc.simulation.sensors", "mujoco", "re")
+"""Objects of these packages do not change, or are the scene's own."""
+_WITHOUT_ATTRIBUTES = 1 << 8  # Py_TPFLAGS_IMMUTABLETYPE: a type of C
+_MISSING = object()
+
+Restore = Callable[[], object]
 
 
 class EpisodeState:
-    """The state of an episode: the robots, their drivers and the scene.
+    """The state of an episode: the robots, their drivers, the scene and the sensors.
 
     ``Episode.save`` returns it, ``Episode.reset(state=...)`` continues from it, as often as wanted.
     It belongs to the episode that has saved it.
     """
 
-    def __init__(self, owner: object, time: float, content: object, scene: MujocoScene | None):
+    def __init__(
+        self, owner: object, time: float, parts: tuple[Any, ...], scene: MujocoScene | None
+    ) -> None:
         if scene is not None and type(scene) is not MujocoScene:
             raise DiagnosticError("simulation-scene", "a world of a batch cannot be saved")
         self.owner = owner
         self.time = time
         """Simulated time (s) of the last control cycle."""
-        stream = io.BytesIO()
-        pickler = _Pickler(stream, protocol=pickle.HIGHEST_PROTOCOL)
-        try:
-            pickler.dump(content)
-        except (TypeError, AttributeError, pickle.PicklingError) as error:
-            message = f"a part of the driver cannot be saved: {error}"
-            raise DiagnosticError("simulation-scene", message) from error
-        self._bytes, self._references = stream.getvalue(), pickler.references
-        self._scene: tuple[Any, dict[str, Any], int, bool] | None = None
+        self.parts = parts
+        self._steps = [*_restores(parts)]
         if scene is not None:
-            arrays = {name: getattr(scene.model, name).copy() for name in _CHANGED}
-            self._scene = copy.copy(scene.data), arrays, scene.steps, scene.diverged
+            self._steps.append(_scene_restore(scene))
 
     def __repr__(self) -> str:
         return f"<EpisodeState at {self.time:g} s>"
 
-    def restore(self, scene: MujocoScene | None) -> Any:
-        """Puts the scene into this state, and returns a copy of the content."""
-        if scene is not None and self._scene is not None:
-            import mujoco
-
-            data, arrays, scene.steps, scene.diverged = self._scene
-            mujoco.mj_copyData(scene.data, scene.model, data)
-            for name, array in arrays.items():
-                getattr(scene.model, name)[:] = array
-        unpickler = pickle.Unpickler(io.BytesIO(self._bytes))
-        unpickler.persistent_load = self._references.__getitem__  # type: ignore[method-assign]
-        return unpickler.load()
+    def restore(self) -> None:
+        """Puts all objects of the episode into this state."""
+        for step in self._steps:
+            step()
 
 
-class _Pickler(pickle.Pickler):
-    """Copies what changes in an episode, and refers to everything else."""
+def _scene_restore(scene: MujocoScene) -> Restore:
+    data, steps, diverged = copy.copy(scene.data), scene.steps, scene.diverged
+    arrays = [(array, array.copy()) for array in (getattr(scene.model, n) for n in _CHANGED)]
 
-    def __init__(self, stream: io.BytesIO, protocol: int) -> None:
-        super().__init__(stream, protocol)
-        self.references: list[object] = []
-        self._numbers: dict[int, int] = {}
+    def restore() -> None:
+        import mujoco
 
-    def persistent_id(self, obj: Any) -> int | None:
+        mujoco.mj_copyData(scene.data, scene.model, data)
+        scene.steps, scene.diverged = steps, diverged
+        for array, values in arrays:
+            array[:] = values
+
+    return restore
+
+
+def _restores(content: object) -> Iterator[Restore]:
+    """Yields a function for each object that can change, which restores its present values.
+
+    Raises ``DiagnosticError`` if the values of an object are not known.
+    """
+    seen: set[int] = set()
+    pending: list[Any] = [content]
+    while pending:
+        obj = pending.pop()
         kind = type(obj)
-        is_shared = (
-            kind in (FunctionType, ModuleType)
-            or kind.__module__.startswith(_SHARED_PACKAGES)
-            or isinstance(obj, MujocoScene)
-            or (kind.__name__ == "ndarray" and obj.base is not None)  # a view of the scene
-        )
-        if not is_shared:
-            return None
-        if id(obj) not in self._numbers:
-            self._numbers[id(obj)] = len(self.references)
-            self.references.append(obj)
-        return self._numbers[id(obj)]
+        if id(obj) in seen or isinstance(obj, _CONSTANT):
+            continue
+        seen.add(id(obj))
+        if kind.__name__.startswith("__mypyc_lambda"):  # a function of the compiled runtime
+            continue
+        if isinstance(obj, (tuple, frozenset)):
+            pending += obj
+        elif isinstance(obj, (list, deque)):
+            pending += obj
+            yield _sequence_restore(obj)
+        elif isinstance(obj, (dict, set)):
+            pending += obj if isinstance(obj, set) else [*obj, *obj.values()]
+            yield _collection_restore(obj)
+        elif isinstance(obj, random.Random):
+            yield partial(obj.setstate, obj.getstate())
+        elif kind.__name__ == "ndarray":
+            if obj.base is None:  # else a view of the scene
+                yield partial(obj.__setitem__, ..., obj.copy())
+        elif kind.__name__ == "Generator" and kind.__module__.startswith("numpy"):
+            bits = obj.bit_generator
+            yield partial(setattr, bits, "state", bits.state)
+        elif not kind.__module__.startswith(_CONSTANT_PACKAGES):
+            if kind.__flags__ & _WITHOUT_ATTRIBUTES and kind is not object:
+                message = f"a part of the driver cannot be saved: a {kind.__name__}"
+                raise DiagnosticError("simulation-scene", message)
+            values = {name: getattr(obj, name, _MISSING) for name in _names(obj)}
+            pending += (value for value in values.values() if value is not _MISSING)
+            yield _object_restore(obj, values)
 
-    def reducer_override(self, obj: Any) -> Any:
-        """Copies an instance of a compiled class, and the attributes of an interpreted subclass."""
-        kind = type(obj)
-        if not isinstance(obj, type) and any("__mypyc_attrs__" in vars(c) for c in kind.__mro__):
-            names = {n for c in kind.__mro__ for n in vars(c).get("__mypyc_attrs__", ())}
-            state = {n: getattr(obj, n) for n in names if hasattr(obj, n)}
-            return _rebuilt, (kind,), {**state, **getattr(obj, "__dict__", {})}, None, None, _fill
-        return NotImplemented
+
+def _names(obj: object) -> set[str]:
+    """Returns the names of the attributes of an object: slots, of compiled classes, and others."""
+    names = set(getattr(obj, "__dict__", ()))
+    for part in type(obj).__mro__:
+        slots = vars(part).get("__slots__", ())
+        names |= {slots} if isinstance(slots, str) else {*slots}
+        names |= {*vars(part).get("__mypyc_attrs__", ())}
+    return names - {"__dict__", "__weakref__"}
 
 
-def _rebuilt(kind: Any) -> Any:
-    return kind.__new__(kind)
+def _sequence_restore(obj: list[Any] | deque[Any]) -> Restore:
+    values = [*obj]
+
+    def restore() -> None:
+        obj.clear()
+        obj.extend(values)
+
+    return restore
 
 
-def _fill(obj: object, state: dict[str, Any]) -> None:
-    for name, value in state.items():
-        object.__setattr__(obj, name, value)
+def _collection_restore(obj: dict[Any, Any] | set[Any]) -> Restore:
+    values = obj.copy()
+
+    def restore() -> None:
+        obj.clear()
+        obj.update(values)
+
+    return restore
+
+
+def _object_restore(obj: object, values: dict[str, Any]) -> Restore:
+    def restore() -> None:
+        for name in _names(obj) - values.keys():
+            delattr(obj, name)
+        for name, value in values.items():
+            present = getattr(obj, name, _MISSING)
+            if value is _MISSING and present is not _MISSING:
+                delattr(obj, name)
+            elif present is not value:
+                object.__setattr__(obj, name, value)
+
+    return restore
