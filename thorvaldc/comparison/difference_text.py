@@ -8,7 +8,13 @@ from typing import Any, NamedTuple
 
 from thorvaldc.comparison import robot_difference
 from thorvaldc.comparison.robot_difference import ABSENT, Difference, FleetDifference, ValueChange
-from thorvaldc.diagnostics.text_layout import markdown_table, markdown_text, paragraph, text_list
+from thorvaldc.diagnostics.text_layout import (
+    markdown_table,
+    markdown_text,
+    paragraph,
+    preformatted,
+    text_list,
+)
 
 LONGEST_TEXT = 48
 MOST_SUBJECTS = 6
@@ -246,6 +252,11 @@ def difference_text(difference: Difference, width: int = 80, *, everything: bool
 def _section_lines(section: Section, width: int) -> Iterator[str]:
     rows = [(f"  {row.mark} {row.name}", row.text) for row in section.rows]
     return text_list(rows, width, _LEAST_NAME, _MOST_NAME)
+
+
+def difference_html(difference: Difference) -> str:
+    """Returns a comparison for a notebook."""
+    return preformatted(difference_text(difference))
 
 
 def difference_markdown(difference: Difference, *, everything: bool = False) -> str:

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
+from thorvaldc.diagnostics.html_view import HtmlView
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.robot_facts import RobotFacts, robot_facts
@@ -208,7 +209,7 @@ class ModuleChange:
 
 
 @dataclass(frozen=True)
-class RobotDifference:
+class RobotDifference(HtmlView):
     """The differences of two robots, in robot terms and as values of the model.
 
     Attributes
@@ -223,6 +224,8 @@ class RobotDifference:
     leaves : every value of the model that differs.  Each of them is in ``values``, in ``derived``,
         or belongs to an element of a module in ``modules``.
     """
+
+    html_view = "thorvaldc.comparison.difference_text:difference_html"
 
     before: str
     after: str

@@ -167,6 +167,13 @@ class Compilation:
         content = "no model" if self.model is None else repr(self.model)
         return f"<Compilation: {content}, {self.report.summary()}>"
 
+    def _repr_html_(self) -> str:
+        """Returns the diagnostics with the lines of their files, which a notebook shows."""
+        from thorvaldc.diagnostics.renderers import render_text
+        from thorvaldc.diagnostics.text_layout import preformatted
+
+        return preformatted(f"{self!r}\n{render_text(self.report, self.sources)}")
+
     @classmethod
     def of(cls, source: SourceFile) -> Compilation:
         """Returns a compilation of the file without a model and without diagnostics."""

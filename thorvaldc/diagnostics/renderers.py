@@ -19,6 +19,7 @@ from thorvaldc import __version__
 from thorvaldc.diagnostics.codes import Code, page
 from thorvaldc.diagnostics.report import Accepted, Diagnostic, Fix, Report, Severity, Span
 from thorvaldc.diagnostics.source_excerpt import UNPRINTABLE, Excerpts
+from thorvaldc.diagnostics.text_layout import preformatted
 
 FORMATS = ("text", "json", "github", "sarif")
 
@@ -102,6 +103,11 @@ def render_text(
         more = " and ".join(f"{n} {kind}" for n, kind in counts if n)
         texts.append(f"not shown: {more}; `thorvaldc check --format json` lists all\n")
     return "\n".join(texts)
+
+
+def render_html(report: Report) -> str:
+    """Returns a report for a notebook, without excerpts."""
+    return preformatted(f"{report.summary()}\n{render_text(report, {})}")
 
 
 def render_accepted(report: Report, *, color: bool = False) -> str:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from thorvaldc.diagnostics.codes import CODES, Code, all_codes, page
+from thorvaldc.diagnostics.html_view import HtmlView
 
 _MAX_TEXT = 2000  # characters of a message or hint
 
@@ -168,7 +169,7 @@ def _shortened(text: str) -> str:
     return text if len(text) <= _MAX_TEXT else f"{text[:half]} … {text[-half:]}"
 
 
-class Report:
+class Report(HtmlView):
     """A list of diagnostics in the order of detection, without repetitions.
 
     >>> import thorvaldc
@@ -178,6 +179,8 @@ class Report:
     >>> [diagnostic.code.name for diagnostic in report]
     ['file-not-found']
     """
+
+    html_view = "thorvaldc.diagnostics.renderers:render_html"
 
     def __init__(self) -> None:
         # Diagnostics of the report: original diagnostic -> diagnostic with the label of `used_by`.

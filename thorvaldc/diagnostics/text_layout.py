@@ -16,6 +16,13 @@ LEAST_NAME = 12
 _BREAKS = re.compile(r"(?<=[_/.])(?=.)|\s+")
 
 
+def preformatted(text: str) -> str:
+    """Returns text as an HTML element, which a notebook shows."""
+    from html import escape
+
+    return f"<pre>{escape(text)}</pre>"
+
+
 def text_table(
     rows: Sequence[Sequence[str]],
     width: int | None = None,

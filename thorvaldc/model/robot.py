@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from thorvaldc.diagnostics import DiagnosticError, Span
+from thorvaldc.diagnostics.html_view import HtmlView
 from thorvaldc.model import quantities as si
 from thorvaldc.model.bus import Bus, Scalar
 from thorvaldc.model.settings import (
@@ -410,7 +411,7 @@ def stated_number(properties: Iterable[tuple[str, Scalar]], name: str) -> float 
 
 
 @dataclass(frozen=True, slots=True, weakref_slot=True)
-class Robot:
+class Robot(HtmlView):
     """A whole robot.
 
     - ``name``: name of the robot.
@@ -440,6 +441,8 @@ class Robot:
     - ``battery_connection``: ``parallel`` if the batteries are one source, ``separate`` if each
       supplies its own modules, or ``None`` if the robot file states neither.
     """
+
+    html_view = "thorvaldc.model.facts.fact_page:robot_html"
 
     name: str
     namespace: str

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from thorvaldc.backends.xml_writer import Element, to_bytes
 from thorvaldc.compiler.scenario.scenario_compilation import metric_units
 from thorvaldc.diagnostics import DiagnosticError, Report, Span
+from thorvaldc.diagnostics.text_layout import preformatted
 from thorvaldc.model.scenario import Expectation, Scenario
 from thorvaldc.simulation import control_loop
 from thorvaldc.simulation.records.recorder import Recorder, RunHash
@@ -95,6 +96,10 @@ class ScenarioResult:
     def passed(self) -> bool:
         """True if the run is complete and all expectations are met."""
         return self.completed and all(check.passed for check in self.checks)
+
+    def _repr_html_(self) -> str:
+        """Returns the table of the run and its expectations, which a notebook shows."""
+        return preformatted(scenario_text(self))
 
     def as_json(self) -> dict[str, Any]:
         """Returns the result of the scenario as JSON values."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from thorvaldc.diagnostics.text_layout import text_table
+from thorvaldc.diagnostics.text_layout import preformatted, text_table
 from thorvaldc.runtime.se2 import Pose2, Twist
 
 
@@ -80,6 +80,10 @@ class SimulationResult:
     real_time_factor: float
     diverged: bool
     robots: tuple[RobotResult, ...]
+
+    def _repr_html_(self) -> str:
+        """Returns the table of the run, which a notebook shows."""
+        return preformatted(result_table([self]))
 
     def as_json(self) -> dict[str, Any]:
         """Returns the result as JSON values.

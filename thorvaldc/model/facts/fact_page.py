@@ -11,11 +11,25 @@ from collections.abc import Collection
 from pathlib import Path
 from string import Template
 
-from thorvaldc.model.facts.fact_tables import FactTable
+from thorvaldc.model import Robot
+from thorvaldc.model.facts.fact_tables import FactTable, fact_tables
+from thorvaldc.model.facts.robot_facts import RobotFacts, robot_facts
 
 _PAGE = Template(Path(__file__).with_name("page.html").read_text(encoding="utf-8"))
 _LONG = 24
 """A table with more rows may be broken between two printed pages."""
+
+
+def facts_html(facts: RobotFacts) -> str:
+    """Returns the tables of the facts for a notebook, without the longest ones."""
+    tables = (table for table in fact_tables(facts) if table.key not in ("modules", "sources"))
+    parts = (table_html(table, level=4) for table in tables)
+    return f"<h3>{escape(facts.name)}</h3>{''.join(parts)}"
+
+
+def robot_html(robot: Robot) -> str:
+    """Returns the facts about a robot for a notebook."""
+    return facts_html(robot_facts(robot))
 
 
 def page(title: str, heading: str, about: str, main: str, style: str = "") -> str:

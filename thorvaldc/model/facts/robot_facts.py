@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from thorvaldc.diagnostics.html_view import HtmlView
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.facts import electrics, masses
@@ -19,7 +20,7 @@ from thorvaldc.model.statics.slope import StandingSlopes, standing_slopes
 
 
 @dataclass(frozen=True, slots=True)
-class RobotFacts:
+class RobotFacts(HtmlView):
     """Facts about a robot, in SI units and angles in rad, with all joints at position 0.
 
     - ``mass``: mass of the robot in kg.
@@ -30,6 +31,8 @@ class RobotFacts:
     - ``slopes``: ``None`` for a robot without driven wheels or one that does not stand.
     - ``standing``: ``None`` for a robot that does not stand.
     """
+
+    html_view = "thorvaldc.model.facts.fact_page:facts_html"
 
     name: str
     description: str
