@@ -180,6 +180,8 @@ class Episode:
         Raises ``DiagnosticError`` for ideal joints, which have no scene to measure.
         """
         if self._suite is None:
+            if type(self.scene) not in (MujocoScene, type(None)):
+                raise DiagnosticError("simulation-scene", "a world of a batch has no sensors")
             if self.scene is None or self.files is None:
                 raise DiagnosticError(
                     "simulation-scene",

@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 
 from tests.cli.conftest import UNPOWERED
 from tests.outside_tools import require
 from tests.slow import mostly_slow
 from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.simulation.pictures import render
 from thorvaldc.tools.gym import environments
@@ -417,3 +419,51 @@ def test_without_gymnasium_the_error_names_the_extra(module: str) -> None:
     last = process.stderr.strip().splitlines()[-1]
     assert last.startswith("ImportError: an environment needs Gymnasium")
     assert install_command("gym") in last
+
+
+def ranges(env: Any) -> Any:
+    """The distances (m) of the front lidar; 0 before its first message."""
+    message = env.episode.sensors["thorvald/lidar_front"].latest
+    if message is None:
+        return np.zeros(SPACE.shape, dtype=np.float32)
+    return np.clip(np.asarray(message.ranges, dtype=np.float32), 0.0, 30.0)
+
+
+SPACE = spaces.Box(0.0, 30.0, (541,), np.float32)
+
+
+def test_an_own_observation_is_that_of_a_sensor(gymnasium: Any) -> None:
+    from gymnasium.utils.env_checker import check_env
+
+    options = {"observe": ranges, "observation_space": SPACE}
+    env = environment(gymnasium, FIELD, **options)
+    check_env(env.unwrapped, skip_render_check=True)
+    env.reset(seed=1)
+    for _ in range(3):
+        observation = env.step(np.zeros(3))[0]
+    assert observation.shape == SPACE.shape
+    assert 0.1 < observation.min() < 29.0  # posts stand along the field
+    with pytest.raises(ValueError, match="`observe` needs"):
+        environment(gymnasium, FIELD, observe=ranges)
+    with pytest.raises(DiagnosticError, match="a world of a batch has no sensors"):
+        gymnasium.make_vec(environments.NAME, 2, file=str(FIELD), **options).reset(seed=1)
+
+
+def test_an_own_function_ends_the_episode_at_a_goal(gymnasium: Any) -> None:
+    env = environment(
+        gymnasium,
+        SLIM,
+        terminates=lambda step: step.after.pose_true.x > 0.3,
+        reward=lambda step: 10.0 if step.terminated else -1.0,
+    ).unwrapped
+    env.reset(seed=1)
+    rewards: list[float] = []
+    terminated = False
+    while not terminated:
+        _, reward, terminated, truncated, info = env.step(np.array([1.0, 0.0, 0.0]))
+        rewards.append(reward)
+        assert not truncated
+    assert info["cause"] == "ended"
+    assert info["true_pose"][0] > 0.3
+    assert rewards[-1] == 10.0
+    assert set(rewards[:-1]) == {-1.0}

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -144,7 +144,8 @@ class Transition:
     * ``after``: sample of the robot after the step.
     * ``duration``: duration of the step (s).
     * ``collisions``: number of collisions that began in the step.
-    * ``terminated``: true if the robot fell over or the simulation diverged.
+    * ``terminated``: true if the robot fell over, the simulation diverged, or ``terminates`` said
+      so.
     """
 
     action: Array
@@ -156,6 +157,7 @@ class Transition:
 
 
 Reward = Callable[[Transition], float]
+Terminates = Callable[[Transition], bool]
 Model = Robot | Fleet | Scenario
 Recompile = Callable[[Mapping[str, object]], tuple[Model, Mapping[str, bytes]]]
 """A function that returns a model with new values by their paths, and its MJCF files."""
@@ -186,6 +188,9 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     start.  The bounds of ``observation_space`` follow from the limits of the robot, and values
     beyond the bounds are clipped.
 
+    Own observations: ``observe`` returns the observation of the environment, which has the space
+    ``observation_space``, for example from ``env.episode.sensors["lidar"].latest``.
+
     Info: the mapping ``info`` contains the true state of the simulation.
 
     * ``time``: time since the start of the episode (s).
@@ -193,7 +198,8 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     * ``true_twist``: vx, vy (m/s) and wz (rad/s).
     * ``tilt``: largest tilt angle since the start of the episode (rad).
     * ``collisions``: number of collisions since the start of the episode.
-    * ``cause``: reason for the end of the episode, ``tipped``, ``diverged`` or ``time``.
+    * ``cause``: reason for the end of the episode, ``tipped``, ``diverged``, ``ended`` by
+      ``terminates``, or ``time``.
 
     Reward: the value of the function ``reward``, or 0 without a reward function.
 
@@ -201,9 +207,9 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     file, such as ``{"world.friction": (0.3, 0.8), "faults.0.error": ("-1 %", "1 %")}``, and
     compiles the robots and the world with them.  The ``info`` of ``reset`` then has ``values``.
 
-    An episode is terminated when the robot falls over or the simulation diverges.  An episode is
-    truncated after ``duration`` s.  The random start pose and the noise of a scenario depend only
-    on the seed of ``reset``.
+    An episode is terminated when the robot falls over, the simulation diverges, or the function
+    ``terminates`` says so.  An episode is truncated after ``duration`` s.  The random start pose
+    and the noise of a scenario depend only on the seed of ``reset``.
     """
 
     # Gymnasium requires this class attribute; each instance has its own with its rate.
@@ -219,6 +225,9 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         rate: float = 10.0,
         duration: float = 0.0,
         reward: Reward | None = None,
+        terminates: Terminates | None = None,
+        observe: Callable[[RobotEnv], Any] | None = None,
+        observation_space: gymnasium.Space[Any] | None = None,
         spread: Sequence[float] = (0.0, 0.0, 0.0),
         parameters: str | None = None,
         render_mode: str | None = None,
@@ -239,6 +248,8 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         * ``duration``: duration of an episode (s).  The value 0 selects the duration of the
           scenario, or ``DURATION`` without a scenario.
         * ``reward``: function that computes the reward of a step.
+        * ``terminates``: function that tells whether a step ends the episode, as at a goal.
+        * ``observe``, ``observation_space``: function that returns an observation, and its space.
         * ``spread``: largest random offset of the start pose, in x (m), y (m) and yaw (rad) of the
           robot.
         * ``parameters``: name of the parameter set of the driver.
@@ -265,7 +276,9 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
                 " file=FILE)` and `make_vec(..., vectorization_mode='sync')`; a batch has one model"
             )
         self._parameters, self._action = parameters, action
-        self.reward = reward
+        if (observe is None) != (observation_space is None):
+            raise ValueError("`observe` needs the `observation_space` of its observations")
+        self.reward, self.terminates, self.observe = reward, terminates, observe
         self.spread = tuple(spread)
         self.episode = Episode(model, files, parameters, robot=robot, scene=scene)
         self.name = self.episode.name
@@ -282,7 +295,9 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self._bounds = observation_bounds(
             self.robot, self._joints, start, self.spread, self.duration
         )
-        self.observation_space = gymnasium.spaces.Box(-self._bounds, self._bounds, dtype=np.float64)
+        self.observation_space = observation_space or gymnasium.spaces.Box(
+            -self._bounds, self._bounds, dtype=np.float64
+        )
         self._steps = 0
         self._start: tuple[Array, Sample, int] | None = None
         self._size = size
@@ -375,16 +390,14 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             raise DiagnosticError("simulation-scene", "the environment was not stepped")
         loop, (values, before, collisions) = self._controlled, self._start
         cause = "diverged" if self.episode.diverged else "tipped" if loop.tipped else ""
-        terminated = bool(cause)
+        new_collisions = self._collisions - collisions
+        step = Transition(values, before, loop.sample(), self.period, new_collisions, bool(cause))
+        if not cause and self.terminates is not None and self.terminates(step):
+            cause, step = "ended", replace(step, terminated=True)
+        terminated = step.terminated
         truncated = not terminated and self._steps * self.period > self.duration - 1e-9
         info = self._info(cause or ("time" if truncated else ""))
-        reward = 0.0
-        if self.reward is not None:
-            new_collisions = info["collisions"] - collisions
-            transition = Transition(
-                values, before, loop.sample(), self.period, new_collisions, terminated
-            )
-            reward = float(self.reward(transition))
+        reward = 0.0 if self.reward is None else float(self.reward(step))
         return self._observation(), reward, terminated, truncated, info
 
     def render(self) -> Any:
@@ -431,7 +444,9 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         """Runs the control loops of all robots until the end of the step."""
         self.episode.advance(self._steps * self.period)
 
-    def _observation(self) -> Array:
+    def _observation(self) -> Any:
+        if self.observe is not None:
+            return self.observe(self)
         loop = self._controlled
         state = loop.driver.state
         values: list[float] = [*state.odometry.twist, *loop.start.moved(state.pose)]
