@@ -510,6 +510,14 @@ def compile_error(
     return CompileError(f"{count} error{'' if count == 1 else 's'}\n{text}", report.sorted())
 
 
+def compilation_html(compilation: Compilation) -> str:
+    """Returns the diagnostics of a compilation with the lines of their files, for a notebook."""
+    from thorvaldc.diagnostics.renderers import render_text
+    from thorvaldc.diagnostics.text_layout import preformatted
+
+    return preformatted(f"{compilation!r}\n{render_text(compilation.report, compilation.sources)}")
+
+
 def _other_model(source: Source, content: str, expected: str, function: str) -> CompileError:
     report = Report()
     name = TEXT_FILE if isinstance(source, Mapping) or _text_of(source) else os.fspath(source)

@@ -45,6 +45,7 @@ from thorvaldc.diagnostics import (
 )
 from thorvaldc.diagnostics.codes import STRUCTURE, all_codes
 from thorvaldc.diagnostics.files import MAX_LOG_BYTES
+from thorvaldc.diagnostics.html_view import HtmlView
 from thorvaldc.model import Robot
 from thorvaldc.schema import Kind
 
@@ -129,7 +130,7 @@ class SourceFile:
 
 
 @dataclass
-class Compilation:
+class Compilation(HtmlView):
     """Result of the compilation of one robot, fleet or scenario file.
 
     Attributes
@@ -151,6 +152,8 @@ class Compilation:
     instances : tree of module instances of each robot, by the file name in the span of the robot.
     """
 
+    html_view = "thorvaldc.compiler.pipeline:compilation_html"
+
     model: Robot | Fleet | None = None
     scenario: Scenario | None = None
     tool_document: object = None
@@ -166,13 +169,6 @@ class Compilation:
     def __repr__(self) -> str:
         content = "no model" if self.model is None else repr(self.model)
         return f"<Compilation: {content}, {self.report.summary()}>"
-
-    def _repr_html_(self) -> str:
-        """Returns the diagnostics with the lines of their files, which a notebook shows."""
-        from thorvaldc.diagnostics.renderers import render_text
-        from thorvaldc.diagnostics.text_layout import preformatted
-
-        return preformatted(f"{self!r}\n{render_text(self.report, self.sources)}")
 
     @classmethod
     def of(cls, source: SourceFile) -> Compilation:

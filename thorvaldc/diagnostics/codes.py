@@ -147,6 +147,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV351", "scenario-robot-unknown", "a scenario refers to a robot that does not exist"),
     _error("TV352", "scenario-wheel-unknown", "an injected fault names an unknown wheel"),
     _warning("TV353", "scenario-step-late", "a step or a fault of a scenario begins after its end"),
+    _warning("TV354", "scenario-without-motion", "the script of a scenario moves no robot"),
     # 4xx: geometry and physics
     _error("TV401", "link-massless", "a moving link has no mass"),
     _error("TV402", "inertia-impossible", "no rigid body can have this inertia"),

@@ -270,6 +270,15 @@ class _SectionReader:
             for name in self._robot_names(step):
                 commands[name].append(command)
                 self._check_parameter_set(name, step.node.get("parameters"))
+        moves = [c for listed in commands.values() for c in listed if c.vx or c.vy or c.wz]
+        if script and not moves and not any(step["parameters"] for step in script):
+            self.report.add(
+                "scenario-without-motion",
+                "the script moves no robot: no step has a speed",
+                script[0].node.where,
+                hint="give a step `vx`, `vy` or `wz`, as in `{at: 1 s, vx: 0.5 m/s}`, or remove the"
+                " script",
+            )
         return tuple((name, tuple(listed)) for name, listed in commands.items())
 
     def _check_time(self, section: Section, time: float, what: str) -> None:
