@@ -143,7 +143,7 @@ test-matrix: $(READY)
 # The compiled wheel, and in a copy with its binaries the tests of what compilation may change: the
 # public API, classes of plug-ins and of Gymnasium, a control cycle.  mypyc keeps no docstrings.
 COMPILED = build/compiled
-COMPILED_TESTS = --deselect tests/test_api.py::test_every_public_name_has_a_docstring tests/test_api.py \
+COMPILED_TESTS = tests/test_api.py \
 	tests/docs/test_snippets.py::test_the_snippets_of_a_page_run tests/docs/test_contributing.py \
 	tests/tools/gym tests/odrive tests/jk_bms tests/conformance/test_calculators.py \
 	tests/runtime/test_driver.py tests/runtime/calculators \

@@ -10,13 +10,15 @@ checkout is not.
 
 from __future__ import annotations
 
+import ast
 import os
+import re
 import shutil
 import subprocess
 import sys
 import sysconfig
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -126,6 +128,40 @@ def compile_modules(package: Path, modules: Sequence[str], out: Path) -> list[Pa
     return binaries
 
 
+_DOCUMENTED = (ast.FunctionDef, ast.ClassDef)
+_DOCSTRING = r'PyDoc_STR\((NULL|"(?:[^"\\]|\\.)*")\)'
+_METHOD = re.compile(r"(\(PyCFunction\)CPyPy_(\w+),\s+[\w| ]+, )" + _DOCSTRING)
+_CLASS = re.compile(r"(CPyType_(\w+)_template_ = \{[^}]*?\.tp_doc = )" + _DOCSTRING)
+"""Entries of the generated C code with the signature of a method, or of a class, as docstring."""
+
+
+def _with_docstrings(sources: Iterable[Path], modules: Sequence[str]) -> None:
+    """Adds the docstrings, for ``help``, to C code in which mypyc writes only the signatures."""
+    docstrings: dict[str, str] = {}
+    for module in modules:
+        body = ast.parse(Path(f"thorvaldc/{module}.py").read_text("utf-8")).body
+        nodes = [((node.name,), node) for node in body if isinstance(node, _DOCUMENTED)]
+        for outer in (node for node in body if isinstance(node, ast.ClassDef)):
+            for node in (node for node in outer.body if isinstance(node, _DOCUMENTED)):
+                # A method of a named tuple is an object of a class with the name of both.
+                nodes.append(((outer.name, node.name), node))
+                nodes.append(((f"{node.name}_{outer.name}_obj",), node))
+        for names, node in nodes:
+            parts = ["thorvaldc", *module.split("/")]
+            for start in range(len(parts)):  # mypyc shortens a name as far as it stays unique
+                docstrings["___".join([*parts[start:], *names])] = ast.get_docstring(node) or ""
+
+    def documented(match: re.Match[str]) -> str:
+        signature = "" if match[3] == "NULL" else match[3][1:-1]
+        text = docstrings.get(match[2], "").encode()
+        literal = "".join(f"\\{byte:03o}" for byte in text)  # no byte can end the text
+        return f'{match[1]}PyDoc_STR("{signature}{literal}")'
+
+    for source in sources:
+        code = source.read_text("utf-8")
+        source.write_text(_CLASS.sub(documented, _METHOD.sub(documented, code)), "utf-8")
+
+
 def _build(out: str, modules: Sequence[str]) -> None:
     """Compiles the modules below the present folder; a process of its own, as mypyc expects it."""
     from mypyc.build import mypycify
@@ -164,6 +200,7 @@ def _build(out: str, modules: Sequence[str]) -> None:
     )
     for extension in extensions:
         extension.extra_compile_args += FLAGS
+    _with_docstrings(Path("c").rglob("*.c"), modules)
     command = _ParallelBuild(Distribution({"ext_modules": extensions}))
     command.build_lib, command.build_temp = out, "objects"
     command.ensure_finalized()

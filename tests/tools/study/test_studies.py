@@ -400,6 +400,9 @@ def test_the_program_of_the_page_runs(run: Command) -> None:
     assert best["error"] == min(error for _, _, error in found)
     assert names["measure"](thorvaldc.load("best.yaml")) == {"error": best["error"]}
     assert len(names["study"].optuna_study("one").trials) == 5
+    Path("wrong.py").write_text(program[1].replace('{"error": ', '{"eror": '))
+    assert run("study", "run", "wrong.py", "-j", "1", "-o", "wrong").status == 0
+    assert set(rows("wrong", "status, message")) == {("error", "the design has no measure.error")}
     Path("broken.py").write_text("import math\nmath.sqrt(-1)\n")
     assert "broken.py:2: ValueError: " in run("study", "run", "broken.py").err
 

@@ -101,6 +101,9 @@ class DesignEvaluator:
         if self._measure is not None:
             numbers = dict(self._measure(robot))
             row["metrics"][MEASURE] = {name: _finite(value) for name, value in numbers.items()}
+            for objective in plan.objectives:
+                if objective.metric and objective.value_of(row) is None:
+                    row.update(status="error", message=f"the design has no {objective.metric}")
 
     def _source(self, path: Path, changes: Mapping[str, object]) -> SourceFile:
         """Returns a file with other values; it is parsed once."""
