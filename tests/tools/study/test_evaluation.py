@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import distributed
@@ -21,7 +22,7 @@ from tests.slow import mostly_slow
 from tests.tools.study.dask_processes import ROOT, DaskProcesses
 from tests.tools.study.kills import VICTIMS, KilledStudy
 from tests.tools.study.test_studies import DRIVE, STUDY, journal_lines
-from thorvaldc.tools.study import evaluation
+from thorvaldc.tools.study import Study, evaluation
 
 pytestmark = [
     pytest.mark.xdist_group("dask"),
@@ -172,17 +173,18 @@ def test_a_worker_with_another_version(
     assert message in result.err, result.err
 
 
-def test_surroundings_have_the_files(tmp_path: Path) -> None:
+def test_surroundings_have_the_files(run: Command, tmp_path: Path) -> None:
     same, other = tmp_path / "same.yaml", tmp_path / "other.xacro"
     for path in (same, other):
         path.write_text("a")
     files = tuple((str(path), evaluation.file_hash(path)) for path in (same, other))
-    before = evaluation.surroundings(files)
+    plan = replace(Study(STUDY).plan, files=files)
+    before = evaluation.surroundings(plan)
     other.write_text("b")
-    after = evaluation.surroundings(files)
+    after = evaluation.surroundings(plan)
     assert [name for name in before if before[name] != after[name]] == [str(other)]
     other.unlink()
-    assert evaluation.surroundings(files)[str(other)] == ""
+    assert evaluation.surroundings(plan)[str(other)] == ""
 
 
 @pytest.mark.parametrize("victim", mostly_slow(VICTIMS[3:], quick=0, slow=1))

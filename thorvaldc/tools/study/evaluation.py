@@ -76,7 +76,7 @@ class DesignEvaluator:
             self._evaluate(design, row)
         except DiagnosticError as error:
             _set_error(row, error.diagnostic)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             # One design among thousands must not end a study of hours, whatever its error is.
             row.update(status="error", message=f"{type(error).__name__}: {error}")
         return row
@@ -187,11 +187,11 @@ _open = ExitStack()
 atexit.register(_context.run, _open.close)
 
 
-def surroundings(files: tuple[tuple[str, str], ...]) -> dict[str, str]:
+def surroundings(plan: StudyPlan) -> dict[str, str]:
     """Returns all that must be equal on each computer, so that a design has one result.
 
     These are the versions of the programs, the hash of thorvaldc and of its module library, the
-    folders in which xacro files find others, and the SHA-256 of each file of the study.
+    folders in which xacro files find others, and the SHA-256 of each file and mesh of the study.
     """
     digest = hashlib.sha256()
     package, modules = Path(thorvaldc.__file__).parent, data_folder("modules")
@@ -200,7 +200,15 @@ def surroundings(files: tuple[tuple[str, str], ...]) -> dict[str, str]:
     parts = {"thorvaldc": f"{thorvaldc.__version__} ({digest.hexdigest()[:12]})"}
     parts |= {name: metadata.version(name) for name in ("mujoco", "numpy", "trimesh")}
     parts |= {name: os.environ.get(name, "") for name in ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")}
-    return parts | {path: file_hash(path) for path, _ in files}
+    return parts | {path: file_hash(path) for path, _ in plan.files} | dict(meshes_of(plan))
+
+
+def meshes_of(plan: StudyPlan) -> tuple[tuple[str, str], ...]:
+    """Returns the name and the SHA-256 of each mesh of the robot on this computer."""
+    source = SourceFile(plan.robot, plan.robot.name, plan.robot.parent)
+    robot = compile_robot(source, plan.library, plan.trust).model
+    meshes = robot.meshes if isinstance(robot, Robot) else ()
+    return tuple((f"the mesh {mesh.name}", mesh.sha256) for mesh in meshes)
 
 
 def file_hash(path: str | Path) -> str:
@@ -241,7 +249,7 @@ def _evaluator(
 
     _open.close()
     plan, measure = cloudpickle.loads(pickled)
-    here, difference = surroundings(plan.files), ""
+    here, difference = surroundings(plan), ""
     for name, value in expected:
         if here.get(name) != value:
             difference = f"{name} {here.get(name) or '(missing)'}; the study has {value}"
@@ -262,7 +270,7 @@ def results_on_dask(
     differs or the scheduler goes away.
     """
     distributed, cloudpickle = required("distributed"), required("cloudpickle")
-    pickled, expected = cloudpickle.dumps((plan, measure)), surroundings(plan.files)
+    pickled, expected = cloudpickle.dumps((plan, measure)), surroundings(plan)
     remaining, running = iter(pending.items()), dict[Any, tuple[str, Design]]()
     suspects: list[tuple[str, Design]] = []
     finished = distributed.as_completed(loop=client.loop)
@@ -321,6 +329,21 @@ def _local_worker_plugin(distributed: Any) -> Any:
     return LocalWorker()
 
 
+def _local_cluster(distributed: Any, jobs: int) -> Any:
+    try:
+        return distributed.LocalCluster(
+            n_workers=jobs,
+            threads_per_worker=1,
+            dashboard_address="127.0.0.1:0",  # any free port
+            silence_logs=logging.CRITICAL,
+        )
+    except RuntimeError:
+        raise OutsideError(
+            "the processes cannot start: a program with several jobs calls `run` below"
+            " `if __name__ == '__main__':`"
+        ) from None
+
+
 MOST_TASKS = 2_000
 """Number of designs that the scheduler has at once."""
 
@@ -340,12 +363,7 @@ def dask_client(scheduler: str, jobs: int) -> Iterator[Any]:
         cluster = None
         if not scheduler:
             with ignored_interrupts():
-                cluster = distributed.LocalCluster(
-                    n_workers=jobs,
-                    threads_per_worker=1,
-                    dashboard_address="127.0.0.1:0",  # any free port
-                    silence_logs=logging.CRITICAL,
-                )
+                cluster = _local_cluster(distributed, jobs)
             scheduler = stack.enter_context(cluster).scheduler_address
         try:
             client = distributed.Client(scheduler, timeout=10, set_as_default=False)

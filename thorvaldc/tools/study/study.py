@@ -6,8 +6,10 @@ import functools
 import hashlib
 import inspect
 import json
+import multiprocessing
 import os
 import runpy
+import sys
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -100,6 +102,7 @@ class Study:
                 (path, evaluation.file_hash(path)) for path in sorted(paths) if os.path.exists(path)
             ),
         )
+        self.plan = replace(self.plan, meshes=evaluation.meshes_of(self.plan))
         self.measure = measure
         measured = [o.name for o in plan.objectives if o.metric.partition(".")[0] == MEASURE]
         if measured and measure is None:
@@ -108,7 +111,7 @@ class Study:
                 f"the objective `{measured[0]}` is a number of a function, and there is none",
                 hint="in Python, give the function to the study: Study(FILE, measure=FUNCTION)",
             )
-        texts = [__version__, self.plan.question(), _text_of(measure)]
+        texts = [__version__, self.plan.question(), _hash_of(measure)]
         self._question = json.dumps(texts)
 
     def __repr__(self) -> str:
@@ -140,8 +143,14 @@ class Study:
         Raises ``OutsideError`` without a package of the extra ``study``, if another run writes the
         journal, or if the scheduler is not there or goes away.
         """
+        if getattr(multiprocessing.current_process(), "_inheriting", False):
+            # A process that reads the program of its parent again must not run it again.
+            raise SystemExit("a program calls `run` below `if __name__ == '__main__':`")
         for package in ("optuna", "pandas", "pyarrow"):  # before any work
             required(package)
+        for path, sha256 in self.plan.files:
+            if evaluation.file_hash(path) != sha256:
+                raise OutsideError(f"{path} has changed since the study was read: read it again")
         folder = self.results_folder(folder)
         finished: dict[str, dict[str, Any]] = {}
         designs: list[tuple[str, Design]] = []
@@ -252,23 +261,27 @@ def study_of_program(path: str) -> Study:
 
     Raises ``OutsideError`` with the line of an error in the file.
     """
+    sys.path.insert(0, os.path.dirname(os.path.abspath(path)))  # as Python does
     try:
         names = runpy.run_path(path)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == path]
         line = lines[-1] if lines else getattr(error, "lineno", 0)
         raise OutsideError(f"{path}:{line}: {type(error).__name__}: {error}") from None
-    studies = [value for value in names.values() if isinstance(value, Study)]
+    studies = {id(value): value for value in names.values() if isinstance(value, Study)}
     if len(studies) != 1:
         raise OutsideError(f"{path} has {len(studies)} studies; give one to a name: study = ...")
-    return studies[0]
+    return next(iter(studies.values()))
 
 
-def _text_of(function: object) -> str:
-    """Returns the text of a function, on which the results depend, as far as it is known."""
-    with suppress(OSError, TypeError):
-        return inspect.getsource(function)  # type: ignore[arg-type]
-    return repr(getattr(function, "__qualname__", function is not None))
+def _hash_of(function: object) -> str:
+    """Returns a hash of a function with the values that it refers to, on which results depend."""
+    if function is None:
+        return ""
+    content = required("cloudpickle").dumps(function)
+    with suppress(OSError, TypeError):  # of a module, whose functions are pickled by their names
+        content += inspect.getsource(function).encode()  # type: ignore[arg-type]
+    return hashlib.sha256(content).hexdigest()
 
 
 class _Journal:
@@ -292,7 +305,12 @@ class _Journal:
             raise OutsideError(f"another run writes {path}") from None
         _remove_damaged_lines(path)
         backend = storages.journal.JournalFileBackend(os.fspath(path), _NoLock())
-        storage = storages.JournalStorage(backend)
+        try:
+            storage = storages.JournalStorage(backend)
+        except Exception as error:  # of Optuna, for lines of another program
+            self._file.close()
+            message = f"{path} is no journal of a study ({error!r}): remove it"
+            raise OutsideError(message) from None
         self.results: dict[str, dict[str, Any]] = {
             trial.user_attrs["key"]: trial.user_attrs["result"]
             for study in storage.get_all_studies()
@@ -300,9 +318,8 @@ class _Journal:
             if "result" in trial.user_attrs
         }
         # After a change of the study file, the same journal has another study of Optuna.
-        digest = hashlib.sha256(repr((plan.variables, plan.objectives, plan.question())).encode())
         self._plan = plan
-        self._name, self._storage = f"{plan.name} {digest.hexdigest()[:8]}", storage
+        self._name, self._storage = f"{plan.name} {plan.identity()[:8]}", storage
 
     def __enter__(self) -> _Journal:
         return self
@@ -336,8 +353,9 @@ def _remove_damaged_lines(path: Path) -> None:
             try:
                 if not line.endswith(b"\n"):
                     break
-                files.read_json(line)
-            except ValueError:
+                if "op_code" not in files.read_json(line):
+                    break
+            except (ValueError, TypeError):
                 break
             length += len(line)
         file.truncate(length)

@@ -106,6 +106,11 @@ def show_study(
         raise OutsideError(
             f"{source}: {folder} has no results of a study; `thorvaldc study run` writes them"
         ) from None
+    if opened is not None and table.attrs["identity"] != opened.plan.identity():
+        raise OutsideError(
+            f"{folder} has results of another state of this study; `thorvaldc study run {source}`"
+            " evaluates it"
+        )
     page = figures_page(opened, table, folder) if opened is not None and figures else ""
     _print_summary(table, json)
     if page:
@@ -145,7 +150,7 @@ def write_best(
         table = read_table(folder)
     except (OSError, ValueError):
         table = None
-    if table is None or table.attrs["question"] != opened.plan.question():
+    if table is None or table.attrs["identity"] != opened.plan.identity():
         raise OutsideError(
             f"{folder} has no results of this study; `thorvaldc study run {study}` evaluates them"
         )

@@ -11,6 +11,7 @@ import json
 import math
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,8 @@ from thorvaldc.diagnostics import Proposal, Report, Span, did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.robot_facts import fact_quantity, facts_document, robot_facts
+from thorvaldc.schema import keys_of
+from thorvaldc.tools.study.design_text import PathError, find_value, shared_spans
 
 COLUMNS = ("sample", "status", "code", "message", "design", "key")
 """Columns of the table of designs that do not depend on the study."""
@@ -37,7 +40,7 @@ MAX_DESIGNS = 100_000
 MAX_SEARCHED = 5_000
 """Greatest number of designs of a search: the time for a proposal grows with the number."""
 
-_ALWAYS_WRONG = ("module-type-unknown", "param-unknown", "variation-path")
+_ALWAYS_WRONG = ("module-type-unknown", "param-unknown", "param-range", "variation-path")
 """Names of errors outside of the codes TV2xx that a value causes whatever the other values are."""
 
 Design = tuple[Value, ...]
@@ -121,6 +124,7 @@ class StudyPlan:
     currency : currency of the prices of the robot (ISO 4217), or empty.
     library, trust : see ``thorvaldc.compile``.
     files : path and SHA-256 of each file that a design can depend on.
+    meshes : name and SHA-256 of each mesh of the robot.
     """
 
     name: str
@@ -138,6 +142,7 @@ class StudyPlan:
     library: tuple[Path, ...] = ()
     trust: bool = False
     files: tuple[tuple[str, str], ...] = ()
+    meshes: tuple[tuple[str, str], ...] = ()
 
     @property
     def facts(self) -> set[str]:
@@ -156,11 +161,27 @@ class StudyPlan:
 
     def question(self) -> str:
         """Returns all that the result of a design depends on, except its values, as a hash."""
-        content: list[Any] = [[os.path.basename(path), digest] for path, digest in self.files]
+        folder = self.robot.parent
+        scenarios = dict(self.scenarios)
+        content: list[Any] = [[os.path.relpath(path, folder), sha] for path, sha in self.files]
+        content += self.meshes
+        content += [[name, os.path.relpath(path, folder)] for name, path in scenarios.items()]
         content += [[v.name, *v.paths] for v in self.variables]
         content += [[c.name, c.fact, c.at_least, c.at_most] for c in self.constraints]
         content += [[o.name, o.fact, o.metric] for o in self.objectives]
-        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+        return _hash(content)
+
+    def identity(self) -> str:
+        """Returns the question, the variables' values, the goals and the selection as a hash.
+
+        A table of another study is not one to show or to take the best design from.
+        """
+        parts = (self.variables, self.objectives, self.method, self.seed)
+        return _hash([self.question(), *map(repr, parts)])
+
+
+def _hash(content: list[Any]) -> str:
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 
 def compile_study(source: SourceFile, compile_robot: Compile) -> Compilation:
@@ -289,7 +310,13 @@ class _StudyReader:
     # -- variables ------------------------------------------------------------------
 
     def _variables(self) -> Iterator[Variable]:
+        used: dict[str, str] = {}
         for name, node in entries(self.document.get("variables")).items():
+            for path in items(node.get("paths")):
+                if path.value in used:
+                    message = f"`{path.value}` is also a path of `{used[str(path.value)]}`"
+                    self.report.add("study-value", message, path.span)
+                used[str(path.value)] = name
             least, most, choices = (node.get(key) for key in ("min", "max", "values"))
             has_range = least is not None and most is not None
             if has_range == (choices is not None) or (least is None) != (most is None):
@@ -311,10 +338,41 @@ class _StudyReader:
             if not values and limits is None:
                 continue
             variable = Variable(name, paths, values, limits)
+            if not self._check_paths(items(node.get("paths"))):
+                continue
             tested = items(choices) or [Node(v, node.where) for v in variable.tested_values()]
             path_nodes = items(node.get("paths"))
             if all(self._is_possible(variable, value, path_nodes) for value in tested):
                 yield variable
+
+    def _check_paths(self, paths: tuple[Node, ...]) -> bool:
+        """Checks that paths begin in the robot file or a scenario, and replace one place each."""
+        document, names = self.robot_source.document, entries(self.document.get("scenarios"))
+        assert document is not None
+        known = (*names, *keys_of("robot"))
+        for path in paths:
+            text, first = str(path.value), str(path.value).partition(".")[0]
+            if first not in known:
+                near = did_you_mean(text, [text.replace(first, name, 1) for name in known], "")
+                self.report.add(
+                    "study-value",
+                    f"`{first}` is neither a section of the robot file nor a scenario of the study",
+                    path.span,
+                    hint=near or None,
+                )
+                return False
+            if first in names:
+                if first not in self.scenario_files:
+                    return False  # its file is missing, which is reported
+                continue
+            with suppress(PathError):  # which the compilation reports
+                found, missing = find_value(document, text)
+                if not missing and found.span in shared_spans(document):
+                    message = f"a YAML alias repeats the value of `{text}` in other places"
+                    hint = "write the value in each place, and name each place in `paths`"
+                    self.report.add("study-value", message, path.span, hint=hint)
+                    return False
+        return True
 
     def _is_possible(self, variable: Variable, value: Node, paths: tuple[Node, ...]) -> bool:
         """Compiles the robot and the scenarios with a value of a variable.

@@ -43,7 +43,7 @@ def table_of(plan: StudyPlan, rows: Iterable[Row]) -> DataFrame:
     table.attrs = {
         "study": plan.name,
         "method": plan.method,
-        "question": plan.question(),
+        "identity": plan.identity(),
         "variables": [variable.name for variable in plan.variables],
         "constraints": [constraint.name for constraint in plan.constraints],
         "objectives": {objective.name: objective.goal for objective in plan.objectives},
