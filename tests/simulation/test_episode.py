@@ -342,7 +342,7 @@ def test_a_state_belongs_to_its_episode() -> None:
     with pytest.raises(DiagnosticError, match="was not started"):
         episode.save()
     episode.reset()
-    with pytest.raises(DiagnosticError, match="another episode"):
+    with pytest.raises(DiagnosticError, match="not one that this episode has saved"):
         other.reset(state=episode.save())
 
 

@@ -107,7 +107,8 @@ class Episode:
                 raise DiagnosticError(
                     "simulation-scene",
                     f"{files} is no folder of a build",
-                    hint="build it with --target mjcf, or give the model: thorvaldc.load(FILE)",
+                    hint="build it with --target mjcf, or give the model: thorvaldc.load(FILE), or"
+                    " thorvaldc.compile(FILE).scenario",
                 )
             model = load_model(files)
         elif not isinstance(model, (Robot, Fleet, Scenario)):
@@ -235,8 +236,10 @@ class Episode:
         return EpisodeState(self, self.time, parts, self.scene)
 
     def _restore(self, state: EpisodeState) -> Sample:
-        if state.owner is not self:
-            raise DiagnosticError("simulation-scene", "the state was saved by another episode")
+        if not isinstance(state, EpisodeState) or state.owner is not self:
+            raise DiagnosticError(
+                "simulation-scene", "the state is not one that this episode has saved"
+            )
         state.restore()
         self.loops, self._schedule, self._in_order, self._bases, self.collisions, sensors = (
             state.parts

@@ -266,6 +266,16 @@ def test_each_reset_draws_another_robot_and_another_world(gymnasium: Any) -> Non
         assert 0.3 <= info["values"]["world.friction"] <= 0.8
         assert info["values"]["faults.0.until"] in ("9 s", "11 s")
     assert drawn[0] == drawn[2] != drawn[1]
+    plain = environment(gymnasium, SLIM).unwrapped
+    plain.reset(seed=1)
+    width = plain.robot.wheels[0].y
+    plain.reset(seed=1, options={"set": {"modules.frame.params.width": "1.2 m"}})
+    assert plain.robot.wheels[0].y > width
+    assert "values" not in plain.reset(seed=1)[1]
+    assert plain.robot.wheels[0].y == width
+    longer = environment(gymnasium, FIELD, randomize={"duration": ["5 s"]}).unwrapped
+    longer.reset(seed=1)
+    assert longer.duration == 5.0
     _, info = env.reset(seed=1, options={"set": {"world.friction": 0.5}})
     assert info["values"] == {**drawn[0], "world.friction": 0.5}
     observation = env.step(np.ones(3))[0]
@@ -276,6 +286,9 @@ def test_values_that_no_environment_can_have(gymnasium: Any, tmp_path: Path) -> 
     for randomize, message in (
         ({"world.friction": (0.8, 0.3)}, "no range of `world.friction`"),
         ({"world.friction": (0.3, 0.5, 0.8)}, "no range of `world.friction`"),
+        ({"world.friction": 0.8}, "no range of `world.friction`"),
+        ({"world.friction": "12"}, "no range of `world.friction`"),
+        ({"world.friction": []}, "no range of `world.friction`"),
     ):
         with pytest.raises(ValueError, match=message):
             environment(gymnasium, FIELD, randomize=randomize)
@@ -289,6 +302,9 @@ def test_values_that_no_environment_can_have(gymnasium: Any, tmp_path: Path) -> 
         env.reset(seed=1)
     with pytest.raises(ValueError, match="a batch has one model"):
         gymnasium.make_vec(environments.NAME, 2, file=str(SLIM), randomize={"name": ["a"]})
+    for options in ({"offset": (math.nan, 0.0, 0.0)}, {"offset": 5}, {"set": 5}):
+        with pytest.raises(ValueError, match="it must be"):
+            environment(gymnasium, SLIM).unwrapped.reset(options=options)
     plain = RobotEnv(compile_file(SLIM).model)
     with pytest.raises(ValueError, match="new values need a file"):
         plain.reset(options={"set": {"driver.rate": "50 Hz"}})

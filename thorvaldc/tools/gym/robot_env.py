@@ -276,6 +276,8 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
                 " file=FILE)` and `make_vec(..., vectorization_mode='sync')`; a batch has one model"
             )
         self._parameters, self._action = parameters, action
+        self._values: dict[str, object] = {}
+        self._duration = duration
         if (observe is None) != (observation_space is None):
             raise ValueError("`observe` needs the `observation_space` of its observations")
         self.reward, self.terminates, self.observe = reward, terminates, observe
@@ -285,9 +287,6 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self._use_robot()
         ticks = max(1, round(self.robot.driver.rate / rate))
         self.period = ticks / self.robot.driver.rate
-        scenario = self.episode.scenario
-        default = scenario.duration if scenario is not None else DURATION
-        self.duration = duration or default
         self.metadata = {**type(self).metadata, "render_fps": round(1.0 / self.period)}
         self.action_names, self.observation_names = _names(self.robot, action)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(self.action_names),), np.float32)
@@ -317,12 +316,17 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             if option not in ("offset", "set"):
                 raise ValueError(f"`reset` has the options 'offset' and 'set', not {option!r}")
         values = {path: draw(self.np_random) for path, draw in self._drawn.items()}
-        values |= (options or {}).get("set", {})
-        if values:
+        given = (options or {}).get("set") or {}
+        if not isinstance(given, Mapping):
+            raise ValueError(f"'set' is {given!r}; it must be values by their paths in the file")
+        values |= given
+        if values or self._values:  # or those of the last reset
             self._compile_with(values)
         random_offset = self.np_random.uniform(-1.0, 1.0, 3) * self.spread
         noise_seed = int(self.np_random.integers(2**31))
         offset = (options or {}).get("offset")
+        if offset is not None and (np.shape(offset) != (3,) or not np.isfinite(offset).all()):
+            raise ValueError(f"the offset is {offset!r}; it must be x (m), y (m) and yaw (rad)")
         x, y, yaw = offset if offset is not None else random_offset
         episode = self.episode
         episode.begin(noise_seed)
@@ -341,6 +345,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         if self._recompile is None:
             raise ValueError("new values need a file: gymnasium.make(..., file=FILE)")
         self.close()
+        self._values = {**values}
         self.episode = Episode(*self._recompile(values), self._parameters, robot=self.name)
         self._use_robot()
         if _names(self.robot, self._action) != (self.action_names, self.observation_names):
@@ -350,6 +355,9 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         """Reads the limits and the joints of the controlled robot."""
         self.robot = self.episode.robots[self.name]
         settings = Parameters.from_robot(self.robot, self._parameters).settings
+        scenario = self.episode.scenario
+        default = scenario.duration if scenario is not None else DURATION
+        self.duration = self._duration or default
         linear = settings.max_linear_velocity
         self._limits = (linear, linear, settings.max_angular_velocity)
         self._joints = JointActions(self.robot)
@@ -474,11 +482,15 @@ def _draw(path: str, choice: Choice) -> Callable[[np.random.Generator], object]:
     """Returns a function that draws a value."""
     if callable(choice):
         return lambda random: np.asarray(choice(random)).item()
-    if isinstance(choice, list):
+    if isinstance(choice, list) and choice:
         return lambda random: choice[int(random.integers(len(choice)))]
-    values = Range.parse(*map(str, choice)) if len(choice) == 2 else None
+    is_pair = isinstance(choice, tuple) and len(choice) == 2
+    values = Range.parse(*map(str, choice)) if is_pair else None
     if values is None:
-        raise ValueError(f"{choice!r} is no range of `{path}`, such as ('0.8 m', '1.2 m')")
+        raise ValueError(
+            f"{choice!r} is no range of `{path}`, such as ('0.8 m', '1.2 m'), no list and no"
+            " function"
+        )
     return lambda random: values.at(float(random.uniform()))
 
 
