@@ -20,16 +20,16 @@ _LONG = 24
 """A table with more rows may be broken between two printed pages."""
 
 
-def facts_html(facts: RobotFacts) -> str:
-    """Returns the tables of the facts for a notebook, without the longest ones."""
-    tables = (table for table in fact_tables(facts) if table.key not in ("modules", "sources"))
+def facts_html(facts: RobotFacts, keys: Collection[str] = ()) -> str:
+    """Returns tables of the facts for a notebook: those of some keys, or all."""
+    tables = (table for table in fact_tables(facts) if not keys or table.key in keys)
     parts = (table_html(table, level=4) for table in tables)
     return f"<h3>{escape(facts.name)}</h3>{''.join(parts)}"
 
 
 def robot_html(robot: Robot) -> str:
-    """Returns the facts about a robot for a notebook."""
-    return facts_html(robot_facts(robot))
+    """Returns the most important facts about a robot for a notebook."""
+    return facts_html(robot_facts(robot), ("size", "mass", "wheels", "stability", "driving"))
 
 
 def page(title: str, heading: str, about: str, main: str, style: str = "") -> str:
