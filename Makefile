@@ -141,7 +141,7 @@ test-matrix: $(READY)
 	JOBS=$(JOBS) $(BIN)/python workshop/test_matrix.py
 
 # The compiled wheel, and in a copy with its binaries the tests of what compilation may change: the
-# public API, classes of plug-ins and of Gymnasium, a control cycle.  mypyc keeps no docstrings.
+# public API, classes of plug-ins and of Gymnasium, a control cycle.
 COMPILED = build/compiled
 COMPILED_TESTS = tests/test_api.py \
 	tests/docs/test_snippets.py::test_the_snippets_of_a_page_run tests/docs/test_contributing.py \
