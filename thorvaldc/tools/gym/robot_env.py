@@ -316,10 +316,10 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             if option not in ("offset", "set"):
                 raise ValueError(f"`reset` has the options 'offset' and 'set', not {option!r}")
         values = {path: draw(self.np_random) for path, draw in self._drawn.items()}
-        given = (options or {}).get("set") or {}
-        if not isinstance(given, Mapping):
-            raise ValueError(f"'set' is {given!r}; it must be values by their paths in the file")
-        values |= given
+        changes = (options or {}).get("set") or {}
+        if not isinstance(changes, Mapping):
+            raise ValueError(f"'set' is {changes!r}; it must be values by their paths in the file")
+        values |= changes
         if values or self._values:  # or those of the last reset
             self._compile_with(values)
         random_offset = self.np_random.uniform(-1.0, 1.0, 3) * self.spread

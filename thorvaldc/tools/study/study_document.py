@@ -366,8 +366,8 @@ class _StudyReader:
                     return False  # its file is missing, which is reported
                 continue
             with suppress(PathError):  # which the compilation reports
-                found, missing = find_value(document, text)
-                if not missing and found.span in shared_spans(document):
+                value, missing = find_value(document, text)
+                if not missing and value.span in shared_spans(document):
                     message = f"a YAML alias repeats the value of `{text}` in other places"
                     hint = "write the value in each place, and name each place in `paths`"
                     self.report.add("study-value", message, path.span, hint=hint)
