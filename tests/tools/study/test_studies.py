@@ -433,6 +433,9 @@ def test_a_variable_of_a_scenario(run: Command) -> None:
     assert result.status == 1
     assert "study.yaml:5:20: error[TV201]" in result.out
     assert "did you mean `friction`?" in result.out
+    robot = "ground: {paths: [go.robots.good.robot], values: [good.yaml]}"
+    Path("study.yaml").write_text(text.replace(track, robot))
+    assert "changes nothing: a design replaces the robots" in run("check", "study.yaml").out
 
 
 @pytest.mark.parametrize(

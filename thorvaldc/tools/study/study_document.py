@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 import os
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -364,6 +365,12 @@ class _StudyReader:
             if first in names:
                 if first not in self.scenario_files:
                     return False  # its file is missing, which is reported
+                if re.fullmatch(r"\w+\.(fleet|robots\.\w+\.robot)", text):
+                    message = (
+                        f"`{text}` changes nothing: a design replaces the robots of a scenario"
+                    )
+                    self.report.add("study-value", message, path.span)
+                    return False
                 continue
             with suppress(PathError):  # which the compilation reports
                 value, missing = find_value(document, text)
