@@ -280,7 +280,8 @@ def test_a_saved_state_has_the_joint_commands_and_the_estimate() -> None:
 
 def test_a_saved_state_has_faults_noise_and_sensors() -> None:
     """A wheel is on ice when the state is saved; noise and messages go on as they did."""
-    model = compile_file(EXAMPLES / "scenarios/field_edge.yaml").scenario
+    early = {"faults.0.at": "0.5 s", "faults.0.until": "1.5 s"}
+    model = compile_file(EXAMPLES / "scenarios/field_edge.yaml", set=early).scenario
     assert model is not None
     episode = Episode(model)
     messages: list[str] = []
@@ -288,23 +289,23 @@ def test_a_saved_state_has_faults_noise_and_sensors() -> None:
     assert episode.scene is not None
     friction = episode.scene.model.geom_friction.copy()
     episode.reset()
-    episode.run(8.0)
+    episode.run(1.0)
     state = episode.save()
     on_ice = episode.scene.model.geom_friction.copy()
     assert (on_ice != friction).any()
     messages.clear()
-    end, heard = repr(episode.run(10.0)), [*messages]
+    end, heard = repr(episode.run(2.0)), [*messages]
     assert heard
     episode.reset()
     assert (episode.scene.model.geom_friction == friction).all()
     episode.reset(state=state)
     assert (episode.scene.model.geom_friction == on_ice).all()
     messages.clear()
-    assert repr(episode.run(10.0)) == end
+    assert repr(episode.run(2.0)) == end
     assert messages == heard
     episode.reset()
     assert (episode.scene.model.geom_friction == friction).all()
-    assert repr(episode.run(10.0)) == end
+    assert repr(episode.run(2.0)) == end
 
 
 class Counting(General):

@@ -47,6 +47,7 @@ def one_objective(text: str) -> str:
     return text.replace("  mass: {fact: mass, goal: minimise}\n", "")
 
 
+@pytest.mark.slow
 def test_the_widest_robot_that_fits_is_found(run: Command) -> None:
     """The robot is as much wider than its track as its wheels and legs; the best track is that of
     the bound."""
@@ -134,6 +135,7 @@ def test_more_designs_continue_a_search(run: Command) -> None:
     assert len(rows("out", "key")) == 28
 
 
+@pytest.mark.slow
 def test_without_a_scheduler_the_table_stays_whole(run: Command) -> None:
     write_study(SEARCH, ("number: 64", "number: 20"))
     assert run("study", "run", "study.yaml", "-j", "1", "-o", "out").status == 0

@@ -366,7 +366,7 @@ def dask_client(scheduler: str, jobs: int) -> Iterator[Any]:
                 cluster = _local_cluster(distributed, jobs)
             scheduler = stack.enter_context(cluster).scheduler_address
         try:
-            client = distributed.Client(scheduler, timeout=10, set_as_default=False)
+            client = distributed.Client(scheduler, timeout=5, set_as_default=False)
         except (OSError, ValueError) as error:
             raise OutsideError(
                 f"there is no Dask scheduler at {scheduler} ({type(error).__name__}): start one"
