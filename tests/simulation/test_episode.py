@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.robots import FOUR_STEERED, make_robot
@@ -292,6 +293,9 @@ def test_a_saved_state_has_faults_noise_and_sensors() -> None:
     episode.run(1.0)
     state = episode.save()
     on_ice = episode.scene.model.geom_friction.copy()
+    scene = episode.scene
+    names = [n for n in dir(scene.model) if isinstance(getattr(scene.model, n, None), np.ndarray)]
+    arrays = {name: getattr(scene.model, name).copy() for name in names}
     assert (on_ice != friction).any()
     messages.clear()
     end, heard = repr(episode.run(2.0)), [*messages]
@@ -300,6 +304,8 @@ def test_a_saved_state_has_faults_noise_and_sensors() -> None:
     assert (episode.scene.model.geom_friction == friction).all()
     episode.reset(state=state)
     assert (episode.scene.model.geom_friction == on_ice).all()
+    for name, array in arrays.items():
+        assert np.array_equal(getattr(scene.model, name), array), name
     messages.clear()
     assert repr(episode.run(2.0)) == end
     assert messages == heard

@@ -8,22 +8,19 @@ need no copy, and a program may keep a robot's control loop.
 from __future__ import annotations
 
 import copy
+import functools
 import random
 from collections import deque
 from collections.abc import Callable, Iterator
 from enum import Enum
-from functools import partial
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any
 
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
-_CHANGED = (
-    *("geom_friction", "dof_frictionloss", "dof_solimp"),
-    *("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
-)
-"""Arrays of the MuJoCo model that faults, zones and motors without power change."""
+_LARGE = ("mesh_", "hfield_", "tex_", "skin_", "flex_")
+"""Names of arrays of a MuJoCo model that are shapes, which no episode changes, begin with these."""
 _CONSTANT: tuple[type, ...] = (
     *(int, float, complex, str, bytes, type(None), range, slice, Enum, type),
     *(FunctionType, BuiltinFunctionType, MethodType, ModuleType, MujocoScene),
@@ -65,9 +62,17 @@ class EpisodeState:
             step()
 
 
+@functools.cache
+def _model_arrays(kind: Any) -> tuple[str, ...]:
+    names = (name for name in dir(kind) if not name.startswith(("_", *_LARGE)))
+    return tuple(name for name in names if isinstance(getattr(kind, name), property))
+
+
 def _scene_restore(scene: MujocoScene) -> Restore:
     data, steps, diverged = copy.copy(scene.data), scene.steps, scene.diverged
-    arrays = [(array, array.copy()) for array in (getattr(scene.model, n) for n in _CHANGED)]
+    # Faults, zones and motors without power change arrays of the model.
+    present = (getattr(scene.model, name) for name in _model_arrays(scene.model.__class__))
+    arrays = [(array, array.copy()) for array in present if type(array).__name__ == "ndarray"]
 
     def restore() -> None:
         import mujoco
@@ -104,13 +109,13 @@ def _restores(content: object) -> Iterator[Restore]:
             pending += obj if isinstance(obj, set) else [*obj, *obj.values()]
             yield _collection_restore(obj)
         elif isinstance(obj, random.Random):
-            yield partial(obj.setstate, obj.getstate())
+            yield functools.partial(obj.setstate, obj.getstate())
         elif kind.__name__ == "ndarray":
             if obj.base is None:  # else a view of the scene
-                yield partial(obj.__setitem__, ..., obj.copy())
+                yield functools.partial(obj.__setitem__, ..., obj.copy())
         elif kind.__name__ == "Generator" and kind.__module__.startswith("numpy"):
             bits = obj.bit_generator
-            yield partial(setattr, bits, "state", bits.state)
+            yield functools.partial(setattr, bits, "state", bits.state)
         elif not kind.__module__.startswith(_CONSTANT_PACKAGES):
             if kind.__flags__ & _WITHOUT_ATTRIBUTES and kind is not object:
                 message = f"a part of the driver cannot be saved: a {kind.__name__}"

@@ -200,13 +200,17 @@ def surroundings(plan: StudyPlan) -> dict[str, str]:
     parts = {"thorvaldc": f"{thorvaldc.__version__} ({digest.hexdigest()[:12]})"}
     parts |= {name: metadata.version(name) for name in ("mujoco", "numpy", "trimesh")}
     parts |= {name: os.environ.get(name, "") for name in ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")}
-    return parts | {path: file_hash(path) for path, _ in plan.files} | dict(meshes_of(plan))
+    return parts | {path: file_hash(path) for path, _ in plan.files} | dict(read_meshes(plan))
 
 
-def meshes_of(plan: StudyPlan) -> tuple[tuple[str, str], ...]:
-    """Returns the name and the SHA-256 of each mesh of the robot on this computer."""
+def read_meshes(plan: StudyPlan) -> tuple[tuple[str, str], ...]:
+    """Compiles the robot, and returns its meshes as ``meshes_of`` does."""
     source = SourceFile(plan.robot, plan.robot.name, plan.robot.parent)
-    robot = compile_robot(source, plan.library, plan.trust).model
+    return meshes_of(compile_robot(source, plan.library, plan.trust).model)
+
+
+def meshes_of(robot: object) -> tuple[tuple[str, str], ...]:
+    """Returns the name and the SHA-256 of each mesh of a robot."""
     meshes = robot.meshes if isinstance(robot, Robot) else ()
     return tuple((f"the mesh {mesh.name}", mesh.sha256) for mesh in meshes)
 

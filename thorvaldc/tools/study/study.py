@@ -101,8 +101,8 @@ class Study:
             files=tuple(
                 (path, evaluation.file_hash(path)) for path in sorted(paths) if os.path.exists(path)
             ),
+            meshes=evaluation.meshes_of(compilation.model),
         )
-        self.plan = replace(self.plan, meshes=evaluation.meshes_of(self.plan))
         self.measure = measure
         measured = [o.name for o in plan.objectives if o.metric.partition(".")[0] == MEASURE]
         if measured and measure is None:
@@ -148,8 +148,10 @@ class Study:
             raise SystemExit("a program calls `run` below `if __name__ == '__main__':`")
         for package in ("optuna", "pandas", "pyarrow"):  # before any work
             required(package)
-        for path, sha256 in self.plan.files:
-            if evaluation.file_hash(path) != sha256:
+        present = {path: evaluation.file_hash(path) for path, _ in self.plan.files}
+        present |= dict(evaluation.read_meshes(self.plan))
+        for path, sha256 in (*self.plan.files, *self.plan.meshes):
+            if present.get(path) != sha256:
                 raise OutsideError(f"{path} has changed since the study was read: read it again")
         folder = self.results_folder(folder)
         finished: dict[str, dict[str, Any]] = {}
@@ -202,8 +204,14 @@ class Study:
         return with_replaced_values(text, self.plan.changes(design).items())
 
     def best(self, table: DataFrame, by: str = "") -> Any:
-        """Returns the row of the best design for an objective, or ``None`` if none is ``ok``."""
-        objective = next(o for o in self.plan.objectives if o.name == (by or o.name))
+        """Returns the row of the best design for an objective, or ``None`` if none is ``ok``.
+
+        ``by``: name of the objective, by default the first one.  Raises ``ValueError``.
+        """
+        objectives = {objective.name: objective for objective in self.plan.objectives}
+        if by and by not in objectives:
+            raise ValueError(f"there is no objective {by!r}; there are {', '.join(objectives)}")
+        objective = objectives[by or next(iter(objectives))]
         best = best_designs(table).sort_values(
             [objective.name, "sample"], ascending=[not objective.maximise, True]
         )

@@ -179,11 +179,11 @@ def write_best(
         raise OutsideError(str(error)) from None
     with unsaved_texts({str(path.resolve()): text.encode()}):
         compilation = compile_file(path, library=opened.plan.library, trust=trust)
-    status = diagnostic_output.show_report(compilation.report, compilation.sources)
-    if status == DONE:  # not with errors, for example because a relative path does not exist there
-        write_file(path, text)
-        diagnostic_output.message(f"wrote {output}: design {best['sample']}")
-    return status
+    if compilation.report.has_errors:  # for example because a relative path does not exist there
+        return diagnostic_output.show_report(compilation.report, compilation.sources)
+    write_file(path, text)
+    diagnostic_output.message(f"wrote {output}: design {best['sample']}")
+    return DONE
 
 
 _HEADER = "# Design "

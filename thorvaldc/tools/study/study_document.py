@@ -11,7 +11,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -152,13 +152,13 @@ class StudyPlan:
 
     def changes(self, design: Design, scenario: str = "") -> dict[str, Value]:
         """Returns the values of a design by their paths in the robot file or in a scenario."""
-        prefix, names = f"{scenario}.", [f"{name}." for name, _ in self.scenarios]
-        return {
-            path.removeprefix(prefix): value
+        names = [name for name, _ in self.scenarios]
+        places = (
+            (place_of(path, names), value)
             for variable, value in zip(self.variables, design, strict=True)
             for path in variable.paths
-            if (path.startswith(prefix) if scenario else not path.startswith(tuple(names)))
-        }
+        )
+        return {path: value for (owner, path), value in places if owner == scenario}
 
     def question(self) -> str:
         """Returns all that the result of a design depends on, except its values, as a hash."""
@@ -179,6 +179,12 @@ class StudyPlan:
         """
         parts = (self.variables, self.objectives, self.method, self.seed)
         return _hash([self.question(), *map(repr, parts)])
+
+
+def place_of(path: str, scenarios: Collection[str]) -> tuple[str, str]:
+    """Returns the scenario that a path of a variable begins with, or ``""``, and the rest."""
+    first, _, rest = path.partition(".")
+    return (first, rest) if first in scenarios else ("", path)
 
 
 def _hash(content: list[Any]) -> str:
@@ -389,10 +395,10 @@ class _StudyReader:
         """
         for name, base in (("", self.robot_source), *self.scenario_files.items()):
             changes = tuple(
-                Change(path.removeprefix(f"{name}."), Node(value.value, value.span, node.span))
+                Change(place, Node(value.value, value.span, node.span))
                 for path, node in zip(variable.paths, paths, strict=True)
-                if (first if (first := path.partition(".")[0]) in self.scenario_files else "")
-                == name
+                for owner, place in [place_of(path, self.scenario_files)]
+                if owner == name
             )
             if not changes:
                 continue
