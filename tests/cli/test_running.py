@@ -293,24 +293,29 @@ def test_over_a_bus_in_another_process(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_late_process_of_the_bus_is_no_silent_node(tmp_path: Path) -> None:
-    """SIGSTOP stops the bus for 120 ms, five times, and then for a second."""
+    """SIGSTOP stops the bus for 120 ms, five times, and then for a second.
+
+    On a busy computer, an earlier pause may end the drive, for the same reason.
+    """
     (tmp_path / "good.yaml").write_text(GOOD)
     with running(tmp_path, "good.yaml") as (bus, listing):
         drive = ("--bus", f"sim:{listing['channel']}", "--twist", "0.4,0,0", "--name", "late")
         process = started(tmp_path, "good.yaml", *drive)
         assert process.stderr is not None
+        lines = list[str]()
         for line in process.stderr:
+            lines.append(line)
             if "active" in line:
                 break
         for pause in (0.12, 0.12, 0.12, 0.12, 0.12, 1.0):
-            assert process.poll() is None
             bus.send_signal(signal.SIGSTOP)
             time.sleep(pause)
             bus.send_signal(signal.SIGCONT)
             time.sleep(0.5)
-        _, err = process.communicate(timeout=300)
+        err = "".join(lines) + process.communicate(timeout=300)[1]
         assert process.returncode == 3, err
-        assert re.search(r"TV880.*the simulation of the bus `main` runs \d\d\d ms late", err), err
+        assert re.search(r"TV880.*\bbus `main`.* too busy\?", err), err
+        assert "silent" not in err
         end(bus)
 
 

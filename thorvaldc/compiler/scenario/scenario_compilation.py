@@ -270,8 +270,9 @@ class _SectionReader:
             for name in self._robot_names(step):
                 commands[name].append(command)
                 self._check_parameter_set(name, step.node.get("parameters"))
-        moves = [c for listed in commands.values() for c in listed if c.vx or c.vy or c.wz]
-        if script and not moves and not any(step["parameters"] for step in script):
+        steps = [(step, key) for step in script or () for key in ("vx", "vy", "wz", "parameters")]
+        # An invalid value, which is reported elsewhere, may be meant to move the robot.
+        if script and not any(step.get(key, step.node.get(key)) for step, key in steps):
             self.report.add(
                 "scenario-without-motion",
                 "the script moves no robot: no step has a speed",
