@@ -299,7 +299,7 @@ def test_a_late_process_of_the_bus_is_no_silent_node(tmp_path: Path) -> None:
     """
     (tmp_path / "good.yaml").write_text(GOOD)
     with running(tmp_path, "good.yaml") as (bus, listing):
-        drive = ("--bus", f"sim:{listing['channel']}", "--twist", "0.4,0,0", "--name", "late")
+        drive = ("--bus", f"sim:{listing['channel']}", "--twist", "0.4,0,0")
         process = started(tmp_path, "good.yaml", *drive)
         assert process.stderr is not None
         lines = list[str]()

@@ -13,6 +13,7 @@ from thorvaldc.model.number_origins import derived
 from thorvaldc.model.sensor_numbers import sensor_numbers
 from thorvaldc.model.spatial import clean, quat_from_z_to
 from thorvaldc.model.statics.joint_tree import tree_of
+from thorvaldc.model.statics.occupied_space import FLANGE_THICKNESS
 from thorvaldc.model.statics.standing import standing_of
 from thorvaldc.model.statics.standing_pose import solve_statics
 from thorvaldc.model.statics.wheel_contact import SOLIMP, SOLREF, WheelContact
@@ -48,7 +49,6 @@ DRIVE_DAMPING = 1.0  # damping ratio: critical
 # of 10 degrees, such a robot creeps by 6 to 7 mm/s. With 2 ms it creeps by 3 mm/s, but the torque
 # of robots with few driven wheels then jumps between its limits in ramps.
 VELOCITY_TIME = 0.005
-FLANGE = 0.004  # m, thickness of the flange of a rail tread
 STEERING_STIFFNESS = 4000.0  # N m/rad
 WORLD = "world"  # name of the root body in MuJoCo
 
@@ -363,13 +363,15 @@ class RobotWriter:
         turned = quat_from_z_to(contact.axis)
         _place(ring, model.Pose(tread.center, turned).clean())
         for side in (1, -1) if tread.flange else ():
-            shift = side * (half + FLANGE / 2)
+            shift = side * (half + FLANGE_THICKNESS / 2)
             center = tuple(c + shift * a for c, a in zip(tread.center, contact.axis, strict=True))
             flange = body.add(
                 "geom", name=f"{name}_flange_{'left' if side > 0 else 'right'}", class_="wheel"
             )
             flange.set(**self.bits)
-            flange.set(type="cylinder", size=(clean(radius + tread.flange), FLANGE / 2), condim=1)
+            flange.set(
+                type="cylinder", size=(clean(radius + tread.flange), FLANGE_THICKNESS / 2), condim=1
+            )
             _place(flange, model.Pose((center[0], center[1], center[2]), turned).clean())
 
     # -- sensors and actuators -----------------------------------------------

@@ -19,7 +19,7 @@ from thorvaldc.backends.ros2_parameters import Parameters, is_holonomic
 from thorvaldc.model import Robot, Sensor
 from thorvaldc.model.sensor_numbers import sensor_numbers
 from thorvaldc.model.settings import RAMP_PERIOD
-from thorvaldc.model.statics.tip_over import footprint
+from thorvaldc.model.statics.occupied_space import footprint
 
 CONTROLLER_FREQUENCY = 1.0 / RAMP_PERIOD  # Hz; MPPI needs a step of this period
 STEPS = 56  # steps of MPPI; 2.8 s ahead

@@ -95,7 +95,7 @@ def test_world_is_expanded_to_blocks(tmp_path: Path) -> None:
   friction: 0.4
   kerbs: [{from: [0, 0], to: [0, 2], height: 0.1, width: 0.2}]
   rails: [{from: [0, 0], to: [4, 0], gauge: 0.6, diameter: 0.05}]
-  crop_rows: [{xyz: [1, 1, 0], yaw: 90 deg, rows: 2, row_spacing: 1, plants: 3, plant_spacing: 0.5}]
+  crop_rows: [{xyz: [4, 1, 0], yaw: 90 deg, rows: 2, row_spacing: 1, plants: 3, plant_spacing: 0.5}]
   polytunnels: [{xyz: [0, 0, 0], length: 4, width: 6, post_spacing: 2}]
   obstacles: {box: {shape: box, xyz: [5, 0, 0], size: [1, 1, 2]}}
 """
@@ -110,7 +110,7 @@ def test_world_is_expanded_to_blocks(tmp_path: Path) -> None:
     rail = blocks["rail/1_left"]
     assert rail.shape == Cylinder(0.025, 4.0)
     assert rail.pose.apply((0.0, 0.0, 2.0)) == pytest.approx((4.0, 0.3, 0.025), abs=1e-9)
-    assert blocks["crop/1_2_3"].pose.xyz == pytest.approx((0.0, 2.0, 0.2), abs=1e-9)
+    assert blocks["crop/1_2_3"].pose.xyz == pytest.approx((3.0, 2.0, 0.2), abs=1e-9)
     assert blocks["post/1_right_3"].pose.xyz == pytest.approx((4.0, -3.0, 1.0), abs=1e-9)
     assert blocks["obstacle/box"].pose.xyz == (5.0, 0.0, 1.0)
 
@@ -118,7 +118,7 @@ def test_world_is_expanded_to_blocks(tmp_path: Path) -> None:
 def test_obstacles_stand_on_their_height(tmp_path: Path) -> None:
     world = """world:
   obstacles:
-    ball: {shape: sphere, xyz: [1, 2, 0.5], diameter: 0.6}
+    ball: {shape: sphere, xyz: [1, 5, 0.5], diameter: 0.6}
     post: {shape: cylinder, xyz: [3, 0, 0], yaw: 90 deg, diameter: 0.2, height: 1.4}
     crate: {shape: box, xyz: [0, 4, 1], yaw: 90 deg, size: [1, 2, 3]}
 """
@@ -126,7 +126,7 @@ def test_obstacles_stand_on_their_height(tmp_path: Path) -> None:
     assert scenario.fleet.world is not None
     shapes = {b.name: (b.shape, b.pose.xyz) for b in scenario.fleet.world.blocks}
     assert shapes == {
-        "ball": (Sphere(0.3), (1.0, 2.0, 0.8)),
+        "ball": (Sphere(0.3), (1.0, 5.0, 0.8)),
         "post": (Cylinder(0.1, 1.4), (3.0, 0.0, 0.7)),
         "crate": (Box((1.0, 2.0, 3.0)), (0.0, 4.0, 2.5)),
     }

@@ -324,19 +324,26 @@ class _HardwareReader:
     ) -> model.Inertial | None:
         """Reads a part of a link, and adds the shape of the part to the link.
 
+        The solid from which a mass is computed is also a collision shape, because heavy parts must
+        not be missing where a robot keeps its distance.
+
         Returns the inertia of the part in the frame of the link, or ``None`` for a part without
         mass.
         """
         links = inlined("module")["properties"]["links"]["additionalProperties"]
         values = Section(part, links["properties"]["parts"]["items"], scope)
-        pose, collides = values.pose().clean(), values["collide"]
-        shape = self._shape(values["shape"], scope, collides)
-        if shape is not None:
-            if values["show"]:
-                visuals.append(model.Visual(shape, pose, self._color(part.get("color"), scope)))
-            if collides:
-                collisions.append(model.Collision(shape, pose))
-        inertial = self._inertial(values, shape, scope)
+        pose = values.pose().clean()
+        shape = self._shape(values["shape"], scope, values.get("collide", False))
+        if shape is not None and values["show"]:
+            visuals.append(model.Visual(shape, pose, self._color(part.get("color"), scope)))
+        solid = shape
+        if "inertia_shape" in values:
+            solid = self._shape(values["inertia_shape"], scope, False)
+        stated = values["collide"]
+        collision = shape if stated else solid if stated is None and "mass" in values else None
+        if collision is not None:
+            collisions.append(model.Collision(collision, pose))
+        inertial = self._inertial(values, solid, scope)
         return inertial.transformed(pose) if inertial is not None else None
 
     def _inertial(
@@ -345,16 +352,13 @@ class _HardwareReader:
         """Returns the mass and the inertia of a link part in the coordinate frame of the part.
 
         If the module document does not state the inertia, the inertia of a uniform solid is
-        computed.  The shape of the uniform solid is the value of `inertia_shape`, or the visual
-        shape of the link part.
+        computed.  ``shape``: value of `inertia_shape`, or the shape of the link part.
         """
         mass = part["mass"]
         if mass is None:
             return None
         if "inertia" in part:
             return model.Inertial(mass, part.get("com", (0.0, 0.0, 0.0)), part["inertia"])
-        if "inertia_shape" in part:
-            shape = self._shape(part["inertia_shape"], scope, False)
         if shape is None or isinstance(shape, model.MeshShape):
             stated = map(part.node.get, ("shape", "inertia", "inertia_shape"))
             if shape is not None or not any(stated):  # else it has an error

@@ -19,7 +19,8 @@ from thorvaldc.compiler.values.value_reader import ValueReader
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import Fleet, Placement, Pose, Robot
 from thorvaldc.model.settings import package_name
-from thorvaldc.model.statics.tip_over import Point, convex_hull, separates
+from thorvaldc.model.statics.occupied_space import footprint
+from thorvaldc.model.statics.tip_over import Point, separates
 
 
 def compile_fleet(source: SourceFile, compile_robot: Compile) -> Compilation:
@@ -111,7 +112,7 @@ class _Footprint(NamedTuple):
     name : name of the robot.
     x, y : position of the robot (m).
     radius : radius (m) of a circle about the position that contains the outline.
-    outline : corners of the convex hull of the wheels in the scene (m), counter-clockwise.
+    outline : corners of the footprint in the scene (m), counter-clockwise.
     """
 
     entry: str
@@ -163,7 +164,8 @@ class Placements:
                 )
                 return
             placement = Placement(name, pose, self._member(name, robot, node))
-            self._check_overlap(_footprint(entry, placement), node.where, reported_entries)
+            area = _footprint(entry, placement, footprint(robot))
+            self._check_overlap(area, node.where, reported_entries)
             self.placed.append(placement)
 
     def _member(self, name: str, robot: Robot, node: Node) -> Robot:
@@ -223,14 +225,10 @@ def robots_of(section: Section) -> int:
     return int(grid["rows"] * grid["columns"])
 
 
-def _footprint(entry: str, placement: Placement) -> _Footprint:
-    """Computes the ground area of a placed robot."""
+def _footprint(entry: str, placement: Placement, outline: list[Point]) -> _Footprint:
+    """Places the footprint of a robot, whose corners in its ``base_link`` are ``outline``."""
     x, y, _ = placement.pose.xyz
-    corners = []
-    for wheel in placement.robot.wheels:
-        wheel_x, wheel_y = wheel.contact_point
-        for dx, dy in ((a * wheel.radius, b * wheel.width / 2) for a in (-1, 1) for b in (-1, 1)):
-            corner = placement.pose.apply((wheel_x + dx, wheel_y + dy, 0.0))
-            corners.append((corner[0], corner[1]))
+    places = (placement.pose.apply((a, b, 0.0)) for a, b in outline)
+    corners = [(a, b) for a, b, _ in places]
     radius = max((math.hypot(a - x, b - y) for a, b in corners), default=0.0)
-    return _Footprint(entry, placement.name, x, y, radius, convex_hull(corners))
+    return _Footprint(entry, placement.name, x, y, radius, corners)

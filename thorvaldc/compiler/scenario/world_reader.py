@@ -18,6 +18,7 @@ from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Proposal, Report, plain
 from thorvaldc.model.statics.joint_tree import tree_of
+from thorvaldc.model.statics.occupied_space import corners_of, solids_of
 from thorvaldc.model.statics.tip_over import Point, convex_hull, overlap
 
 _KEYS_OF_SLOPES = ("angle", "direction")
@@ -318,7 +319,6 @@ def _offset(x: float, y: float, z: float) -> model.Pose:
 
 # -- where robots start ------------------------------------------------------------------
 
-_CORNERS = 16  # of the polygon that stands for a circle
 _TOLERANCE = 0.01  # Overlap (m) that is not reported: the outline of a circle is not exact.
 _CARRYING = ("kerb", "rail")  # kinds of blocks on which wheels may stand
 _SECTIONS = {"crop": "crop_rows", "post": "polytunnels"}
@@ -438,42 +438,19 @@ def _node(block: model.Block, world: Node) -> Node | None:
 
 
 def _parts(placement: model.Placement) -> Iterator[_Solid]:
-    """Yields the collision shapes of a placed robot in the world, with all joints at zero."""
-    robot = placement.robot
-    poses = tree_of(robot).pose
-    for link in robot.links:
-        for collision in link.collisions:
-            if link.name in poses:
-                solid = _solid(collision.shape, placement.pose * poses[link.name] * collision.pose)
-                if solid is not None:
-                    yield solid
+    """Yields the solids of a placed robot in the world but its meshes, with all joints at zero."""
+    poses = tree_of(placement.robot).pose
+    for name, solids in solids_of(placement.robot).items():
+        for shape, pose in solids:
+            solid = _solid(shape, placement.pose * poses[name] * pose)
+            if solid is not None:
+                yield solid
 
 
 def _solid(shape: model.Shape, pose: model.Pose) -> _Solid | None:
     """Returns the points of a shape in the world, or ``None`` for a mesh."""
-    points = [pose.apply(point) for point in _points(shape)]
+    points = corners_of(shape, pose)
     if not points:
         return None
     heights = [z for _, _, z in points]
     return _Solid(points, min(heights), max(heights))
-
-
-def _points(shape: model.Shape) -> list[model.Vec3]:
-    """Returns points of a shape, whose convex hull is nearly the shape.
-
-    A sphere is replaced by the largest cylinder in it.
-    """
-    if isinstance(shape, model.Box):
-        x, y, z = (edge / 2 for edge in shape.size)
-        return [(a * x, b * y, c * z) for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)]
-    circle = [
-        (math.cos(2 * math.pi * i / _CORNERS), math.sin(2 * math.pi * i / _CORNERS))
-        for i in range(_CORNERS)
-    ]
-    if isinstance(shape, model.Cylinder):
-        r, half = shape.radius, shape.length / 2
-    elif isinstance(shape, model.Sphere):
-        r = half = shape.radius / math.sqrt(2)
-    else:
-        return []
-    return [(r * c, r * s, end * half) for c, s in circle for end in (-1, 1)]

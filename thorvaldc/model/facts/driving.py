@@ -10,8 +10,9 @@ from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.stability import DIRECTIONS
 from thorvaldc.model.statics import mobility
+from thorvaldc.model.statics.occupied_space import footprint
 from thorvaldc.model.statics.slope import SlopeForces, SlopeStatics, steepest_angle, steepest_stops
-from thorvaldc.model.statics.tip_over import footprint, support_of
+from thorvaldc.model.statics.tip_over import support_of
 from thorvaldc.model.stopping import driven_wheels
 
 FORWARDS, SIDEWAYS = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)

@@ -9,19 +9,18 @@ from dataclasses import dataclass
 
 from thorvaldc.model import (
     Box,
-    Collision,
     Cylinder,
     MeshShape,
     Robot,
     Shape,
     Sphere,
     Vec3,
-    Visual,
     Wheel,
 )
 from thorvaldc.model import quantities as si
 from thorvaldc.model.spatial import Quat, add, quat_to_matrix, rotate
 from thorvaldc.model.statics.joint_tree import JointTree, tree_of
+from thorvaldc.model.statics.occupied_space import solids_of
 from thorvaldc.model.stl import mesh_vertices
 from thorvaldc.model.sums import float_sum
 
@@ -126,19 +125,16 @@ def _half_extents(shape: Box | Cylinder | Sphere, quat: Quat) -> Vec3:
 
 
 def size_of(robot: Robot) -> Size:
-    """Return the size of a robot. The shapes are the visible ones and those for collisions."""
+    """Return the size of a robot, from the solids of ``model.statics.occupied_space``."""
     tree = tree_of(robot)
     extents = _Extents(robot)
     boxes: list[tuple[str, Vec3, Vec3]] = []
-    for link in robot.links:
-        if link.name not in tree.pose:
-            continue
-        parts: tuple[Visual | Collision, ...] = (*link.visuals, *link.collisions)
-        for part in parts:
-            place = tree.pose[link.name] * part.pose
-            box = extents.of(part.shape, place.quat)
+    for name, solids in solids_of(robot).items():
+        for shape, pose in solids:
+            place = tree.pose[name] * pose
+            box = extents.of(shape, place.quat)
             if box is not None:
-                boxes.append((link.name, add(place.xyz, box[0]), add(place.xyz, box[1])))
+                boxes.append((name, add(place.xyz, box[0]), add(place.xyz, box[1])))
     lower = _corner(min, (box[1] for box in boxes))
     upper = _corner(max, (box[2] for box in boxes))
     rolling = rolling_links(tree, robot.wheels)
