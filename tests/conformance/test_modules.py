@@ -47,7 +47,9 @@ def compiled(folder: Path, modules: dict[str, Any], **sections: Any) -> Robot:
     document = {"thorvaldc": 1, "name": "small", "accept": accept, "modules": modules, **sections}
     file.write_text(yaml.safe_dump(document))
     compilation = compile_file(file)
-    assert not list(compilation.report), [d.message for d in compilation.report]
+    # The tests mount modules where nothing is; tests/compiler/test_room_checks.py judges places.
+    report = [d for d in compilation.report if d.code.name not in ("part-loose", "parts-overlap")]
+    assert not report, [d.message for d in report]
     assert isinstance(compilation.model, Robot)
     return compilation.model
 

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
+from thorvaldc.compiler.room_checks import check_room
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, millimetres, plain
 from thorvaldc.model import Joint, Robot, Vec3, Wheel
@@ -19,13 +20,12 @@ from thorvaldc.model.statics import mobility
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.slope import SlopeStatics, holds_without_torque, standing_slopes
 from thorvaldc.model.statics.standing import Standing, standing_of
-from thorvaldc.model.statics.tip_over import Point, outer_points, overlap, pulls_out, support_of
+from thorvaldc.model.statics.tip_over import outer_points, pulls_out, support_of
 from thorvaldc.model.stopping import driven_wheels
 from thorvaldc.model.sums import float_sum
 
 # Largest gap (m) between a wheel and the ground that suspensions and tyres compensate.
 WHEEL_OFF_GROUND = 2e-3
-TOUCHING = 1e-6  # Overlap (m) of two wheels that touch each other.
 
 SMALLEST_SIZE, LARGEST_SIZE = 0.1, 20.0
 """Extents (m) of the smallest and the largest robot that is not reported."""
@@ -39,8 +39,6 @@ def check_robot(robot: Robot, design: DesignRequirements, report: Report) -> Non
     check_wheels_present(robot, report)
     if robot.wheels:
         check_wheels_on_ground(robot, report)
-        check_parts_above_ground(robot, report)
-        check_wheels_overlap(robot, report)
         check_stability(robot, design, report)
         if check_bodies_held(robot, report):
             check_wheel_loads(robot, report)
@@ -49,6 +47,7 @@ def check_robot(robot: Robot, design: DesignRequirements, report: Report) -> Non
         check_slope(robot, design, report)
         if not report.has_errors:  # wrong masses, wheels or a wrong slope cause false warnings
             check_standing(robot, design, report)
+    check_room(robot, report)
 
 
 def check_size(robot: Robot, report: Report) -> None:
@@ -160,73 +159,6 @@ def _is_upside_down(wheel: Wheel, robot: Robot) -> bool:
     name, pose = wheel.module.partition(".")[0], tree_of(robot).pose
     root = next(link.name for link in robot.links if link.module.partition(".")[0] == name)
     return root in pose and pose[root].rotate((0.0, 0.0, 1.0))[2] < -0.5
-
-
-def check_parts_above_ground(robot: Robot, report: Report) -> None:
-    """Checks that no link has a centre of mass below the ground.
-
-    A link with a centre of mass below the ground is mounted upside down or too low.  Other points
-    of a link may be below the ground, for example the tip of a tool in the soil.
-    """
-    pose = tree_of(robot).pose
-    for link in robot.links:
-        if link.inertial is None or link.inertial.mass <= 0.0 or link.name not in pose:
-            continue
-        height = pose[link.name].apply(link.inertial.com)[2]
-        if height < 0.0:
-            report.add(
-                "part-below-ground",
-                f"the centre of mass of link `{link.name}` is {millimetres(-height)} "
-                "below the ground",
-                link.span,
-                hint="raise its mount, or turn it over",
-            )
-
-
-def check_wheels_overlap(robot: Robot, report: Report) -> None:
-    """Checks that no two wheels overlap.
-
-    For the overlap check, each wheel is a rectangle in the ground plane, at the steering angle 0.
-    The two wheels of a double wheel may touch each other.  The wheels are sorted into grid cells
-    that are larger than any wheel.  Each wheel is then compared only with the wheels in the same
-    and the neighbouring grid cells.
-    """
-    cells: dict[tuple[int, int], list[tuple[Wheel, list[Point]]]] = {}
-    size = 2 * max(max(w.radius, w.width) for w in robot.wheels) + 1e-6
-    for wheel in robot.wheels:
-        x, y = wheel.contact_point
-        i, j = math.floor(x / size), math.floor(y / size)
-        outline = _outline(wheel)
-        overlaps = (
-            (other, overlap(outline, corners))
-            for di in (-1, 0, 1)
-            for dj in (-1, 0, 1)
-            for other, corners in cells.get((i + di, j + dj), ())
-        )
-        overlapping = next((w for w, move in overlaps if move and move[0] > TOUCHING), None)
-        if overlapping is not None:
-            # Each wheel causes at most one diagnostic about overlapping wheels.  Without the
-            # restriction, a thousand wheels in one position would cause half a million diagnostics.
-            report.add(
-                "wheels-overlap",
-                f"the wheels of `{overlapping.module}` and `{wheel.module}` overlap",
-                wheel.span,
-                labels=[Label(overlapping.span, "the other wheel")],
-                hint="move one of the mounts",
-            )
-            continue
-        cells.setdefault((i, j), []).append((wheel, outline))
-
-
-def _outline(wheel: Wheel) -> list[Point]:
-    """Returns the corners (m) of the rectangle of a wheel on the ground, counter-clockwise.
-
-    The rectangle has the length 2 * radius along the heading, and the width of the wheel.
-    """
-    x, y = wheel.contact_point
-    c, s, a, b = math.cos(wheel.heading), math.sin(wheel.heading), wheel.radius, wheel.width / 2
-    corners = ((a, b), (-a, b), (-a, -b), (a, -b))
-    return [(x + c * along - s * left, y + s * along + c * left) for along, left in corners]
 
 
 def check_stability(robot: Robot, design: DesignRequirements, report: Report) -> None:

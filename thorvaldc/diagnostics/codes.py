@@ -195,6 +195,8 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV444", "module-massless", "a mounted module has no mass"),
     _warning("TV445", "battery-connection", "several batteries without a stated connection"),
     _error("TV446", "battery-voltages", "batteries in parallel have different voltages"),
+    _warning("TV447", "parts-overlap", "a module is inside another one or in its way"),
+    _warning("TV448", "part-loose", "a mounted module touches nothing"),
     # 5xx: CAN bus
     _error("TV501", "can-id-duplicate", "two devices of one id space use the same id on a bus"),
     _error("TV502", "can-id-range", "an id is outside the range of the device"),

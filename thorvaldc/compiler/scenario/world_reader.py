@@ -441,7 +441,7 @@ def _parts(placement: model.Placement) -> Iterator[_Solid]:
     """Yields the solids of a placed robot in the world but its meshes, with all joints at zero."""
     poses = tree_of(placement.robot).pose
     for name, solids in solids_of(placement.robot).items():
-        for shape, pose in solids:
+        for shape, pose, _ in solids:
             solid = _solid(shape, placement.pose * poses[name] * pose)
             if solid is not None:
                 yield solid

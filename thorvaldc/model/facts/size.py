@@ -130,7 +130,7 @@ def size_of(robot: Robot) -> Size:
     extents = _Extents(robot)
     boxes: list[tuple[str, Vec3, Vec3]] = []
     for name, solids in solids_of(robot).items():
-        for shape, pose in solids:
+        for shape, pose, _ in solids:
             place = tree.pose[name] * pose
             box = extents.of(shape, place.quat)
             if box is not None:

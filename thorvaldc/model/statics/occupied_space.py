@@ -58,21 +58,31 @@ _GRID = 0.001  # m
 
 
 class Solid(NamedTuple):
-    """A shape and its pose in the frame of its link."""
+    """A shape, its pose in the frame of its link, and the bytes of the mesh file of a mesh."""
 
     shape: Shape
     pose: Pose
+    data: bytes = b""
 
 
 @once_per_model
-def solids_of(robot: Robot) -> dict[str, list[Solid]]:
-    """Return the solids of each link that is connected to the root link, each solid once."""
+def solids_of(robot: Robot, with_visuals: bool = True) -> dict[str, list[Solid]]:
+    """Return the solids of each link that is connected to the root link, each solid once.
+
+    ``with_visuals``: false for the collision shapes and treads alone.
+    """
     tree = tree_of(robot)
+    data = {mesh.name: mesh.data for mesh in robot.meshes}
     solids: dict[str, dict[Solid, None]] = {}
     for link in robot.links:
         if link.name in tree.pose:
-            shapes: tuple[Collision | Visual, ...] = (*link.collisions, *link.visuals)
-            solids[link.name] = dict.fromkeys(Solid(part.shape, part.pose) for part in shapes)
+            shapes: tuple[Collision | Visual, ...] = link.collisions
+            if with_visuals:
+                shapes += link.visuals
+            solids[link.name] = dict.fromkeys(
+                Solid(part.shape, part.pose, data.get(getattr(part.shape, "mesh", ""), b""))
+                for part in shapes
+            )
     for wheel in robot.wheels:
         if wheel.treads:
             spin = tree.joints[wheel.spin_joint]
@@ -134,7 +144,6 @@ def footprint(robot: Robot) -> list[Point]:
     tree = tree_of(robot)
     starts = {servo.joint: servo.initial for servo in robot.joint_servos}
     placed = tree.at(starts) if starts else tree
-    data = {mesh.name: mesh.data for mesh in robot.meshes}
     root = placed.order[0]
     # The first link of each body that moves as a whole, the axis of its prisms, and their corners.
     first, axis, points = {root: root}, {root: (0.0, 0.0, 1.0)}, {root: list[Vec3]()}
@@ -150,9 +159,8 @@ def footprint(robot: Robot) -> list[Point]:
         body = first[name]
         in_body = placed.pose[body].inverse() * placed.pose[name]
         along = clean3(in_body.inverse().rotate(axis[body]))
-        for shape, pose in solids_of(robot)[name]:
-            content = data.get(shape.mesh, b"") if isinstance(shape, MeshShape) else b""
-            points[body] += map(in_body.apply, _prism(shape, content, pose, along))
+        for solid in solids_of(robot)[name]:
+            points[body] += map(in_body.apply, _prism(solid, along))
     for name in reversed(points):  # each body before the one that carries it
         if name != root and points[name]:
             joint = placed.parent_joint[name]
@@ -204,13 +212,18 @@ def _outward(value: float) -> float:
 
 
 @functools.lru_cache(maxsize=1024)
-def _prism(shape: Shape, data: bytes, pose: Pose, axis: Vec3) -> tuple[Vec3, ...]:
-    """Return the corners of a prism along an axis that contains a shape, in the frame of its link.
+def _prism(solid: Solid, axis: Vec3) -> tuple[Vec3, ...]:
+    """Return the corners of a prism along an axis that contains a solid, in the frame of its link.
 
-    ``data``: bytes of the mesh file of a mesh. Equal modules have equal prisms.
+    Equal modules have equal prisms.
     """
     along = Pose(quat=quat_from_z_to(axis))
-    return tuple(map(along.apply, _prism_around(corners_of(shape, along.inverse() * pose, data))))
+    return tuple(
+        map(
+            along.apply,
+            _prism_around(corners_of(solid.shape, along.inverse() * solid.pose, solid.data)),
+        )
+    )
 
 
 def _prism_around(points: Sequence[Vec3]) -> list[Vec3]:
