@@ -394,6 +394,8 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV965", "audit-section-unused", "no controller reads a section of parameters"),
     _error("TV966", "audit-node-id", "the CANopen node ids of two files or devices contradict"),
     _error("TV967", "price-invalid", "a price is no amount with a currency, or of an assembly"),
+    _warning("TV968", "wheel-sides-exchanged", "a left wheel is on the right of the right wheel"),
+    _warning("TV969", "wheel-axes-opposite", "a left and a right wheel turn about opposite axes"),
     _error("TV970", "git-unavailable", "there is no git, or no git repository"),
     _error("TV971", "git-revision-unknown", "a repository does not have a revision"),
     _error("TV972", "git-file-missing", "a revision does not have a file"),

@@ -38,7 +38,7 @@ def uniform_solid(shape: Shape, mass: float, wall: float | None = None) -> Inert
 def solid(shape: Shape, density: float, meshes: Mapping[str, Mesh]) -> Inertial | None:
     """Returns the mass and inertia of a shape of uniform density, in the frame of the shape.
 
-    Returns ``None`` for a mesh that is not closed, because it has no volume.
+    Returns ``None`` for a mesh that is not closed or not read, because it has no volume.
 
     Parameters
     ----------
@@ -52,7 +52,8 @@ def solid(shape: Shape, density: float, meshes: Mapping[str, Mesh]) -> Inertial 
     elif isinstance(shape, Sphere):
         volume = 4 / 3 * math.pi * shape.radius**3
     else:
-        return _closed_mesh(meshes[shape.mesh], shape.scale, density)
+        mesh = meshes[shape.mesh]
+        return _closed_mesh(mesh, shape.scale, density) if mesh.data else None
     return uniform_solid(shape, density * volume)
 
 

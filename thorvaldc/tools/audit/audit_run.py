@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
@@ -25,12 +26,14 @@ from thorvaldc.tools.audit import (
     name_rules,
     parameter_files,
 )
-from thorvaldc.tools.audit.audit_facts import Evidence, UnreadableFileError
+from thorvaldc.tools.audit.audit_facts import Evidence, FileDescription, UnreadableFileError
 from thorvaldc.tools.audit.mjcf_description import read_mjcf_description
+from thorvaldc.tools.audit.sdf_description import read_sdf
 
 # A rule compares what the readers have found.
 RULES: tuple[Callable[[Evidence, Report], None], ...] = (
     drive_rules.check_wheels,
+    drive_rules.check_sides,
     name_rules.check_joint_names,
     name_rules.check_frames,
     name_rules.check_transform_owners,
@@ -42,11 +45,8 @@ RULES: tuple[Callable[[Evidence, Report], None], ...] = (
     drive_rules.check_descriptions_agree,
     body_rules.check_footprints_agree,
     body_rules.check_footprints_cover,
-    body_rules.check_masses,
-    body_rules.check_inertias,
-    body_rules.check_densities,
-    body_rules.check_lengths,
-    body_rules.check_angles,
+    body_rules.check_bodies,
+    body_rules.check_meshes,
     name_rules.check_launched_files,
     name_rules.check_controller_sections,
     name_rules.check_node_ids,
@@ -58,11 +58,13 @@ class Audit:
     """The result of an audit.
 
     - ``sources``: path of each file by its name in source spans.
+    - ``left_out``: folders that a mark such as ``COLCON_IGNORE`` leaves out, with the mark.
     """
 
     evidence: Evidence = field(default_factory=Evidence)
     report: Report = field(default_factory=Report)
     sources: dict[str, Path] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
 
 
 def audit(names: Sequence[str], *, trust: bool = False) -> Audit:
@@ -74,6 +76,7 @@ def audit(names: Sequence[str], *, trust: bool = False) -> Audit:
     report, evidence = result.report, result.evidence
     robot_files = survey(list(names), report)
     evidence.packages.update(robot_files.packages)
+    result.left_out = robot_files.left_out
     reader = _Reader(robot_files, result)
     for file in robot_files.files:
         result.sources[file.display] = file.path
@@ -147,7 +150,7 @@ class _Reader:
     def read_xml_file(self, file: RobotFile, data: bytes) -> None:
         root = descriptions.read_xml(data, file.display, file.path)
         if root.tag == "sdf":
-            models = descriptions.read_sdf(root, file.display, file.path, self.report)
+            models = read_sdf(root, file.display, file.path, self.report)
             self.evidence.descriptions += models
         elif root.tag in ("mujoco", "mujocoinclude"):
             self.mjcf_files[os.path.realpath(file.path)] = file, root
@@ -224,9 +227,11 @@ class Survey:
     """The files of the folders that the user named, in the order of their names.
 
     - ``packages``: folder of each ROS package, by its name.
+    - ``left_out``: names of the folders that a mark such as ``COLCON_IGNORE`` leaves out.
     """
 
     files: list[RobotFile] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
     packages: dict[str, Path] = field(default_factory=dict)
     read_bytes: int = 0
 
@@ -290,13 +295,14 @@ def _walk(root: Path, display: str, result: Survey, known: set[str], report: Rep
     for folder, folders, files in os.walk(root):
         entries += len(folders) + len(files)
         depth = len(Path(folder).relative_to(root).parts)
-        marked = folder != str(root) and any(mark in files for mark in _IGNORE_MARKS)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
-        if marked:
+        shown = os.path.normpath(os.path.join(display, Path(folder).relative_to(root)))
+        marks = [mark for mark in _IGNORE_MARKS if mark in files and folder != str(root)]
+        if marks:
+            result.left_out.append(f"`{shown}` ({marks[0]})")
             folders.clear()
             continue
         if depth >= MAX_DEPTH and folders:
-            shown = os.path.join(display, Path(folder).relative_to(root))
             _report_limit(shown, f"is more than {MAX_DEPTH} levels deep", report)
             folders.clear()
         if "package.xml" in files:
@@ -352,22 +358,26 @@ class _Expansion:
         self.packages = {name: str(folder) for name, folder in result.evidence.packages.items()}
         self.evidence, self.report, self.sources = result.evidence, result.report, result.sources
         self.trust = trust
+        self.included: set[Path] = set()
         self.end = time.monotonic() + EXPANSION_SECONDS
 
     def read_files(self, files: Sequence[tuple[RobotFile, bytes]]) -> None:
         """Expands the files that describe a robot: those with a name of the robot, and those that
         no other file includes.
         """
-        included = {
-            Path(name.decode("utf-8", "replace")).name
-            for _, data in files
-            for name in _INCLUDE.findall(data)
+        names = {name for _, data in files for name in _INCLUDE.findall(data)}
+        patterns = [
+            re.sub(r"\$[({][^)}]*[)}]", "*", name.decode("utf-8", "replace")) for name in names
+        ]
+        ends = {pattern.rpartition("/")[2] for pattern in patterns} - {"", "*"}
+        self.included = {
+            file.path for file, _ in files if any(fnmatch(file.path.name, end) for end in ends)
         }
         tops = [
             (file, data)
             for file, data in files
             if (robot := _ROBOT.search(data)) is not None
-            and (re.search(rb"\bname\s*=", robot[1]) or file.path.name not in included)
+            and (re.search(rb"\bname\s*=", robot[1]) or file.path not in self.included)
         ]
         for start in range(0, len(tops), FILES_PER_WORKER):
             self.read(tops[start : start + FILES_PER_WORKER])
@@ -469,9 +479,15 @@ class _Expansion:
 
     def add_description(self, file: RobotFile, result: ExpandedFile, report: Report) -> bool:
         """Adds the robot in the elements of a file, and returns whether there is one."""
-        robot = descriptions.read_urdf(result.elements, file.display, file.path, report)
-        self.evidence.descriptions += [robot] if robot is not None else []
-        return robot is not None
+        name, diagnostics = file.path.name, Report()
+        robot = FileDescription(format="URDF", name=name, file=file.display, path=file.path)
+        descriptions.read_description(robot, result.elements, diagnostics)
+        descriptions.check_tree(robot, diagnostics)
+        if diagnostics.has_errors and file.path in self.included:
+            return True  # it is a part of the robot that includes it
+        report.extend(diagnostics)
+        self.evidence.descriptions += [robot] if robot.links else []
+        return bool(robot.links)
 
 
 _REASONS = {

@@ -6,12 +6,14 @@ import itertools
 import math
 from collections.abc import Callable, Iterator
 from functools import partial
+from typing import NamedTuple
 
-from thorvaldc.diagnostics import Label, Report, plain
-from thorvaldc.model import Pose, Vec3
-from thorvaldc.model.spatial import dot, norm, sub
+from thorvaldc.compiler.descriptions.description_rules import report_opposite_axes, wheel_axis
+from thorvaldc.diagnostics import Label, Report, Span, plain
+from thorvaldc.model import Cylinder, Joint, Pose, Sphere, Vec3
+from thorvaldc.model.spatial import cross, dot, norm, sub
 from thorvaldc.tools.audit import audit_facts
-from thorvaldc.tools.audit.audit_facts import BodyJoint, Description, Evidence, Fact, SolidShape
+from thorvaldc.tools.audit.audit_facts import Evidence, Fact, FileDescription
 from thorvaldc.tools.audit.parameter_files import stamped_arguments
 
 # An effective radius or separation under load may differ a little on purpose.
@@ -61,8 +63,35 @@ def check_wheels(evidence: Evidence, report: Report) -> None:
             )
 
 
+def check_sides(evidence: Evidence, report: Report) -> None:
+    """Reports drives whose left wheels are on the right, or turn about another axis."""
+    facts = [fact for _, fact in evidence.described("wheel separation")]
+    for fact in (*facts, *evidence.stated("wheel separation")):
+        middle = fact.names.index("")
+        pairs = list(zip(fact.names[:middle], fact.names[middle + 1 :], strict=False))
+        names = tuple(filter(None, fact.names))
+        for description in evidence.related(fact.span.file, names)[:1]:
+            for left, right in pairs:
+                wheels = [description.joints.get(name) for name in (left, right)]
+                poses = [description.poses.get(w.child) for w in wheels if w is not None]
+                if wheels[0] is None or wheels[1] is None or None in poses:
+                    continue
+                report_opposite_axes(description, wheels[0], wheels[1], report)
+                offset = sub(poses[1].xyz, poses[0].xyz)  # type: ignore[union-attr]
+                axis = wheel_axis(description, wheels[0])
+                if axis is not None and abs(axis[1]) > 0.9 and offset[1] > 1e-3:
+                    report.add(
+                        "wheel-sides-exchanged",
+                        f"{fact.subject} drives `{left}` on the left, which is"
+                        f" {plain(offset[1], 3)} m to the right of `{right}`",
+                        fact.span,
+                        hint="exchange the left and the right wheels of the drive",
+                        labels=[Label(wheels[0].span, "this joint")],
+                    )
+
+
 def _differing(
-    kind: str, measure: Callable[[Description, Fact], Fact | None], evidence: Evidence
+    kind: str, measure: Callable[[FileDescription, Fact], Fact | None], evidence: Evidence
 ) -> list[tuple[Fact, Fact]]:
     """Returns pairs of a statement and the geometry that it contradicts.
 
@@ -86,7 +115,7 @@ def _differs(fact: Fact, true: Fact) -> bool:
     return abs(ratio - 1.0) > TOLERANCE + 1e-9
 
 
-def _true_radius(description: Description, fact: Fact) -> Fact | None:
+def _true_radius(description: FileDescription, fact: Fact) -> Fact | None:
     """Returns the wheel whose radius is next to a stated radius."""
     radii = [
         radius
@@ -97,12 +126,11 @@ def _true_radius(description: Description, fact: Fact) -> Fact | None:
     return min(radii, key=lambda radius: abs(radius.value - fact.value), default=None)
 
 
-def _true_distance(description: Description, fact: Fact, axis: int) -> Fact | None:
+def _true_distance(description: FileDescription, fact: Fact, axis: int) -> Fact | None:
     """Returns the distance along an axis between the two groups of wheels of a statement.
 
     ``axis``: 1 for the lateral distance of left and right wheels, 0 for that of front and rear.
     """
-    poses = description.root_poses()
     middle = fact.names.index("")
     sides: list[float] = []
     for names in (fact.names[:middle], fact.names[middle + 1 :]):
@@ -110,7 +138,7 @@ def _true_distance(description: Description, fact: Fact, axis: int) -> Fact | No
             center
             for name in names
             if name in description.joints
-            and (center := wheel_center(description, description.joints[name], poses)) is not None
+            and (center := wheel_center(description, description.joints[name])) is not None
         ]
         if len(centers) < len(names) or not centers:
             return None
@@ -123,59 +151,63 @@ def _true_distance(description: Description, fact: Fact, axis: int) -> Fact | No
     return Fact(fact.kind, f"the description `{description.name}`", distance, first.span)
 
 
-def wheel_radius(description: Description, joint: BodyJoint) -> Fact | None:
+def wheel_radius(description: FileDescription, joint: Joint) -> Fact | None:
     """Returns the radius of the wheel that a joint turns, from its shapes, or ``None``.
 
     A wheel is a sphere, or a cylinder whose axis is that of the joint, with its centre on the axis.
     Collision shapes count before shapes for the eye.  The largest wheel of the link counts.
     """
-    best: dict[bool, Fact] = {}
-    for body, shape in _round_shapes(description, joint):
-        radius = shape.size[0]
-        fact = best.get(shape.collides)
-        if fact is None or radius > fact.value:
-            subject = f"joint `{joint.name}`"
-            best[shape.collides] = Fact("wheel radius", subject, radius, shape.span, "m", (body,))
-    return best.get(True) or best.get(False)
+    wheels = _round_shapes(description, joint)
+    for collides in (True, False):
+        radii = [
+            Fact("wheel radius", f"joint `{joint.name}`", wheel.shape.radius, wheel.span, "m")
+            for wheel in wheels
+            if wheel.collides is collides
+        ]
+        if radii:
+            return max(radii, key=lambda fact: float(fact.value))
+    return None
 
 
-def wheel_center(description: Description, joint: BodyJoint, poses: dict[str, Pose]) -> Vec3 | None:
+def wheel_center(description: FileDescription, joint: Joint) -> Vec3 | None:
     """Returns the centre of the wheel that a joint turns in the frame of the root, or ``None``.
 
     A wheel without shapes is at the joint.  The centre of a wheel that is only a mesh is unknown,
     because the mesh can lie beside the joint.
     """
-    link = poses.get(joint.child)
+    link = description.poses.get(joint.child)
     if link is None:
         return None
-    for collides in (True, False):
-        for _, shape in _round_shapes(description, joint):
-            if shape.collides is collides:
-                return link.apply(shape.pose.xyz)
-    has_shapes = any(body.shapes for body, _ in description.rigid_part(joint.child))
-    return None if has_shapes else link.xyz
+    wheels = sorted(_round_shapes(description, joint), key=lambda wheel: not wheel.collides)
+    if wheels:
+        return link.apply(wheels[0].pose.xyz)
+    parts = map(description.links.__getitem__, description.rigid_part(joint.child))
+    return None if any(part.visuals or part.collisions for part in parts) else link.xyz
 
 
-def _round_shapes(description: Description, joint: BodyJoint) -> list[tuple[str, SolidShape]]:
+class _Wheel(NamedTuple):
+    shape: Cylinder | Sphere
+    pose: Pose
+    collides: bool
+    span: Span
+
+
+def _round_shapes(description: FileDescription, joint: Joint) -> list[_Wheel]:
     """Returns the wheel shapes of a joint, with poses in the frame of the joint."""
-    axis_length = norm(joint.axis)
-    if not joint.turns or axis_length == 0.0:
+    if joint.type not in ("revolute", "continuous"):
         return []
-    axis = tuple(a / axis_length for a in joint.axis)
-    shapes: list[tuple[str, SolidShape]] = []
-    for body, pose in description.rigid_part(joint.child):
-        for shape in body.shapes:
-            placed = pose * shape.pose
-            direction = placed.rotate((0.0, 0.0, 1.0))
-            along = abs(dot(direction, (axis[0], axis[1], axis[2])))
-            position = sub(placed.xyz, joint.anchor)
-            on_axis = dot(position, (axis[0], axis[1], axis[2]))
-            offset = math.sqrt(max(0.0, dot(position, position) - on_axis * on_axis))
-            flat = shape.kind in ("cylinder", "tyre", "capsule")
-            is_wheel = shape.kind == "sphere" or (flat and along > 0.99)
-            if is_wheel and shape.size[0] > 0.0 and offset < 0.1 * shape.size[0]:
-                shapes.append((body.name, shape._replace(pose=placed)))
-    return shapes
+    wheels: list[_Wheel] = []
+    for link, pose in description.rigid_part(joint.child).items():
+        for shape, own, collides, span in description.shapes(description.links[link]):
+            if not isinstance(shape, Cylinder | Sphere):
+                continue
+            placed = pose * own
+            along = abs(dot(placed.rotate((0.0, 0.0, 1.0)), joint.axis))
+            offset = norm(cross(placed.xyz, joint.axis))
+            is_wheel = isinstance(shape, Sphere) or along > 0.99
+            if is_wheel and offset < 0.1 * shape.radius:
+                wheels.append(_Wheel(shape, placed, collides, span))
+    return wheels
 
 
 # -- limits of joints, and one robot in several descriptions ----------------------------
@@ -195,9 +227,9 @@ def check_command_limits(evidence: Evidence, report: Report) -> None:
                 continue
             limit = None
             if interface == "velocity":
-                limit = joint.limits.get("velocity")
+                limit = description.limit(joint, "velocity")
             elif interface == "position":
-                limit = joint.limits.get("upper" if end == "max" else "lower")
+                limit = description.limit(joint, "upper" if end == "max" else "lower")
             if limit is None or (interface == "velocity" and limit.value <= 0.0):
                 continue
             bound = -limit.value if interface == "velocity" and end == "min" else limit.value
@@ -216,13 +248,13 @@ def check_command_limits(evidence: Evidence, report: Report) -> None:
             )
 
 
-def _pairs(evidence: Evidence) -> Iterator[tuple[Description, Description]]:
+def _pairs(evidence: Evidence) -> Iterator[tuple[FileDescription, FileDescription]]:
     """Yields descriptions of one robot in two formats: most of the joints have equal names."""
     for a, b in itertools.combinations(evidence.descriptions[:200], 2):
         if a.format == b.format:
             continue
-        names_a = {n for n, j in a.joints.items() if j.kind not in ("fixed", "free")}
-        names_b = {n for n, j in b.joints.items() if j.kind not in ("fixed", "free")}
+        names_a = {n for n, j in a.joints.items() if j.type not in ("fixed", "floating")}
+        names_b = {n for n, j in b.joints.items() if j.type not in ("fixed", "floating")}
         common = names_a & names_b
         if len(common) >= 2 and 2 * len(common) >= min(len(names_a), len(names_b)):
             words = audit_facts.path_words(a.file) & audit_facts.path_words(b.file)
@@ -244,7 +276,7 @@ def check_descriptions_agree(evidence: Evidence, report: Report) -> None:
             if other is None:
                 continue
             for quantity in ("lower", "upper", "velocity", "effort"):
-                first, second = joint.limits.get(quantity), other.limits.get(quantity)
+                first, second = a.limit(joint, quantity), b.limit(other, quantity)
                 if first is None or second is None or first.unit != second.unit:
                     continue
                 width = max(abs(first.value), abs(second.value), 1e-3)
@@ -260,14 +292,15 @@ def check_descriptions_agree(evidence: Evidence, report: Report) -> None:
         _check_distances(wheels, a, b, report)
 
 
-def _check_distances(wheels: list[str], a: Description, b: Description, report: Report) -> None:
+def _check_distances(
+    wheels: list[str], a: FileDescription, b: FileDescription, report: Report
+) -> None:
     """Reports wheels whose distance from the first wheel differs between two descriptions."""
-    placed = [(description, description.root_poses()) for description in (a, b)]
     for name in wheels[1:]:
         facts: list[Fact] = []
-        for description, poses in placed:
+        for description in (a, b):
             joints = (description.joints[wheels[0]], description.joints[name])
-            start, end = (wheel_center(description, joint, poses) for joint in joints)
+            start, end = (wheel_center(description, joint) for joint in joints)
             if start is not None and end is not None:
                 facts.append(Fact("distance", name, norm(sub(end, start)), joints[1].span, "m"))
         lengths = [fact.value for fact in facts]
@@ -277,7 +310,7 @@ def _check_distances(wheels: list[str], a: Description, b: Description, report: 
 
 
 def _report(
-    what: str, first: Fact, second: Fact, a: Description, b: Description, report: Report
+    what: str, first: Fact, second: Fact, a: FileDescription, b: FileDescription, report: Report
 ) -> None:
     report.add(
         "audit-descriptions-differ",
@@ -350,16 +383,16 @@ def check_wheel_speeds(evidence: Evidence, report: Report) -> None:
         radius = wheels.get(fact.span.file)
         if radius is None or "linear.x.max_velocity" not in fact.subject:
             continue
-        joints = [
-            (description, description.joints[name])
-            for description in evidence.related(fact.span.file, radius.names)
-            for name in radius.names
-            if name in description.joints and "velocity" in description.joints[name].limits
-        ]
-        for description, joint in joints:
+        for description, name in itertools.product(
+            evidence.related(fact.span.file, radius.names), radius.names
+        ):
+            joint = description.joints.get(name)
+            limit = description.limit(joint, "velocity") if joint is not None else None
+            if joint is None or limit is None or limit.value <= 0.0:
+                continue
             true = wheel_radius(description, joint) or radius
-            needed, limit = fact.value / true.value, joint.limits["velocity"]
-            if limit.value > 0.0 and needed > limit.value * (1.0 + TOLERANCE):
+            needed = fact.value / true.value
+            if needed > limit.value * (1.0 + TOLERANCE):
                 report.add(
                     "audit-speed",
                     f"{fact.subject} allows {fact.value:g} m/s, for which the wheels turn with"

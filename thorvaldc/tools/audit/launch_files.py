@@ -6,7 +6,8 @@ import ast
 import os
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +83,38 @@ class LaunchValues:
             return self.call(node, inner)
         return None
 
+    def namespace(self, node: ast.expr | None) -> str:
+        """Returns a name space; equal expressions of unknown values are the same name space."""
+        if isinstance(node, ast.Call) and call_name(node) == "LaunchConfiguration" and node.args:
+            name = self.value(node.args[0])
+            return f"$(var {name})"
+        value = self.value(node)
+        if isinstance(value, list) and all(isinstance(part, str) for part in value):
+            value = "".join(value)
+        if node is None or isinstance(value, str):
+            return value or ""
+        if isinstance(node, ast.Name) and (known := self.names.get(node.id)) is not None:
+            return self.namespace(known)
+        return f"<{ast.unparse(node)[:80]}>"
+
+    def pushed(self, pushes: Sequence[ast.AST]) -> str:
+        """Returns the name space of actions that push name spaces."""
+        calls = [push for push in pushes if isinstance(push, ast.Call)]
+        nodes = [call.args[0] if call.args else keyword(call, "namespace") for call in calls]
+        return join(*map(self.namespace, nodes))
+
+    def passed(self, node: ast.expr | None) -> dict[str, str | None]:
+        """Returns the arguments in ``launch_arguments``, a dict or its items."""
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            node = node.func.value
+        if isinstance(node, ast.Name):
+            node = self.names.get(node.id)
+        if not isinstance(node, ast.Dict):
+            return {}
+        keys = [self.value(key) for key in node.keys]
+        pairs = zip(keys, map(self.namespace, node.values), strict=True)
+        return {key: value for key, value in pairs if isinstance(key, str)}
+
     def joined(self, node: ast.JoinedStr, depth: int) -> str | None:
         parts = [
             self.value(part.value if isinstance(part, ast.FormattedValue) else part, depth)
@@ -150,6 +183,7 @@ def plain_parameters(value: Any) -> Mapping[str, Any]:
 
 
 _NODES = ("Node", "LifecycleNode", "ComposableNodeContainer", "ComposableNode")
+_PUSHES = ("PushRosNamespace", "PushROSNamespace")
 
 
 def is_python_launch(data: bytes) -> bool:
@@ -167,19 +201,85 @@ def read_python(data: bytes, file: str, path: Path) -> facts.LaunchFile:
         raise facts.UnreadableFileError(f"it is not Python{line}") from None
     values = LaunchValues(tree)
     launch = facts.LaunchFile(file, path)
-    for call, conditional in _calls(tree):
-        name = call_name(call)
+    for name, default in values.arguments.items():
+        if isinstance(text := values.value(default), str):
+            launch.defaults[name] = text
+    for call, namespace, conditional in _actions(tree, values):
         span = _span(call, file)
-        if name in _NODES:
-            launch.nodes.append(_python_node(call, values, span, conditional))
-        elif name == "IncludeLaunchDescription":
+        if call_name(call) in _NODES:
+            own = join(namespace, values.namespace(keyword(call, "namespace")))
+            launch.nodes.append(_python_node(call, values, span, own, conditional))
+        elif call_name(call) == "IncludeLaunchDescription":
             source = values.value(call.args[0] if call.args else None)
             if isinstance(source, list):
                 source = source[0] if len(source) == 1 else None
             if isinstance(source, str):
-                kind = "conditional include" if conditional else "include"
-                launch.includes.append(facts.Fact(kind, "launch file", source, span))
+                fact = facts.Fact("launch file", "launch file", source, span)
+                arguments = values.passed(keyword(call, "launch_arguments"))
+                include = facts.LaunchInclude(fact, namespace, arguments, conditional)
+                launch.includes.append(include)
     return launch
+
+
+def join(*namespaces: str) -> str:
+    """Returns the name space in which name spaces are one inside of the other."""
+    return "/".join(filter(None, (namespace.strip("/") for namespace in namespaces)))
+
+
+def _actions(tree: ast.Module, values: LaunchValues) -> Iterator[tuple[ast.Call, str, bool]]:
+    """Yields all calls with the name space of their groups, and whether a condition decides.
+
+    A name space that is pushed outside of a group, or in a group without a scope, is that of the
+    whole file.
+    """
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    groups = {
+        id(call): _group_actions(call, values) for call in calls if call_name(call) == "GroupAction"
+    }
+    pushes = {
+        group: [action for action in actions if _is_push(action)]
+        for group, actions in groups.items()
+    }
+    open_groups = {id(c) for c in calls if values.value(keyword(c, "scoped")) is False}
+    scoped = {id(p) for group in pushes.keys() - open_groups for p in pushes[group]}
+    outer = [call for call in calls if _is_push(call) and id(call) not in scoped]
+    # What a group contains by its name is read with the group.
+    grouped = {id(action) for actions in groups.values() for action in actions}
+    stack: list[tuple[ast.AST, str, bool]] = [(tree, values.pushed(outer), False)]
+    while stack:
+        node, namespace, conditional = stack.pop()
+        if isinstance(node, ast.Assign) and id(node.value) in grouped:
+            continue
+        children = list(ast.iter_child_nodes(node))
+        if isinstance(node, ast.Call):
+            conditional = conditional or keyword(node, "condition") is not None
+            yield node, namespace, conditional
+            if id(node) in groups:
+                children = groups[id(node)]
+                if id(node) not in open_groups:
+                    namespace = join(namespace, values.pushed(pushes[id(node)]))
+        conditional = conditional or isinstance(node, ast.If | ast.IfExp)
+        stack += [(child, namespace, conditional) for child in reversed(children)]
+
+
+def _is_push(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and call_name(node) in _PUSHES
+
+
+def _group_actions(group: ast.Call, values: LaunchValues) -> list[ast.AST]:
+    """Returns the actions of a group; names stand for the only value that a file gives them."""
+
+    def named(node: ast.expr) -> ast.expr:
+        known = values.names.get(node.id) if isinstance(node, ast.Name) else None
+        return known if known is not None else node
+
+    listed = group.args[0] if group.args else keyword(group, "actions")
+    if listed is None:
+        return []
+    listed = named(listed)
+    if not isinstance(listed, ast.List | ast.Tuple):
+        return [listed]
+    return [named(item.value if isinstance(item, ast.Starred) else item) for item in listed.elts]
 
 
 def _span(node: ast.expr, file: str) -> Span:
@@ -189,20 +289,8 @@ def _span(node: ast.expr, file: str) -> Span:
     return Span(file, node.lineno, node.col_offset + 1, *end)
 
 
-def _calls(tree: ast.AST) -> Iterator[tuple[ast.Call, bool]]:
-    """Yields all calls, and whether a condition decides on them."""
-    stack: list[tuple[ast.AST, bool]] = [(tree, False)]
-    while stack:
-        node, conditional = stack.pop()
-        if isinstance(node, ast.Call):
-            conditional = conditional or keyword(node, "condition") is not None
-            yield node, conditional
-        conditional = conditional or isinstance(node, ast.If | ast.IfExp)
-        stack += [(child, conditional) for child in reversed(list(ast.iter_child_nodes(node)))]
-
-
 def _python_node(
-    call: ast.Call, values: LaunchValues, span: Span, conditional: bool
+    call: ast.Call, values: LaunchValues, span: Span, namespace: str, conditional: bool
 ) -> facts.LaunchedNode:
     def text(name: str) -> str:
         value = values.value(keyword(call, name))
@@ -225,7 +313,7 @@ def _python_node(
         package=text("package"),
         executable=text("executable") or text("plugin"),
         name=text("name"),
-        namespace=_namespace(call, values),
+        namespace=namespace,
         span=span,
         parameters=parameters,
         parameter_files=tuple(files),
@@ -242,17 +330,6 @@ def _entry_span(item: ast.expr, name: str, otherwise: Span) -> Span:
             if isinstance(key, ast.Constant) and key.value == name:
                 return _span(value, otherwise.file)
     return otherwise
-
-
-def _namespace(call: ast.Call, values: LaunchValues) -> str:
-    node = keyword(call, "namespace")
-    value = values.value(node)
-    if node is None:
-        return ""
-    if isinstance(value, str):
-        return value
-    # Two nodes with the same variable as name space are in the same name space.
-    return f"<{node.id}>" if isinstance(node, ast.Name) else f"<line {node.lineno}>"
 
 
 def _pairs(value: Any) -> Iterator[tuple[str, str]]:
@@ -279,26 +356,45 @@ def read_xml(root: Element, file: str, path: Path) -> facts.LaunchFile:
         if element.tag == "arg" and "default" in element.attributes
     }
 
+    launch.defaults.update(defaults)
+
     def collect(element: Element, conditional: bool, namespace: str) -> None:
         for child in element.children:
             attributes = child.attributes
             decided = conditional or "if" in attributes or "unless" in attributes
-            if child.tag == "group":
-                pushed = child.find("push-ros-namespace") or child.find("push_ros_namespace")
-                inner = pushed.attributes.get("namespace", "") if pushed is not None else ""
-                collect(child, decided, f"{namespace}/{inner}".strip("/"))
-            elif child.tag == "include":
-                kind = "conditional include" if decided else "include"
+            own = join(namespace, attributes.get("namespace", attributes.get("ns", "")))
+            if child.tag == "include":
                 name = substituted(attributes.get("file", ""), defaults)
                 if name is not None:
-                    launch.includes.append(facts.Fact(kind, "launch file", name, child.span))
+                    fact = facts.Fact("launch file", "launch file", name, child.span)
+                    passed = {
+                        arg.attributes.get("name", ""): arg.attributes.get("value")
+                        for arg in child.children
+                    }
+                    launch.includes.append(facts.LaunchInclude(fact, own, passed, decided))
             elif child.tag in ("node", "composable_node"):
-                launch.nodes.append(_node_of(child, defaults, decided, namespace))
-            else:
-                collect(child, decided, namespace)
+                launch.nodes.append(_node_of(child, defaults, decided, own))
+            elif child.tag not in _PUSH_TAGS:
+                pushed = _pushed(child) if attributes.get("scoped") != "false" else ""
+                collect(child, decided, join(own, pushed))
 
-    collect(root, False, "")
+    collect(root, False, _pushed(root))
     return launch
+
+
+_PUSH_TAGS = ("push-ros-namespace", "push_ros_namespace")
+
+
+def _pushed(element: Element) -> str:
+    """Returns the name space that an element pushes, also in groups without a scope."""
+    return join(
+        *(
+            _pushed(child) if child.tag == "group" else child.attributes.get("namespace", "")
+            for child in element.children
+            if child.tag in _PUSH_TAGS
+            or (child.tag == "group" and child.attributes.get("scoped") == "false")
+        )
+    )
 
 
 def read_yaml(document: Node, file: str, path: Path) -> facts.LaunchFile:
@@ -347,12 +443,11 @@ def _node_of(
             parameters[name] = facts.Fact("parameter", name, _scalar(text), child.span)
         elif text is not None:
             files.append(facts.Fact("parameter file", name, text, child.span))
-    own = attributes.get("namespace", attributes.get("ns", ""))
     return facts.LaunchedNode(
         package=attributes.get("pkg", ""),
         executable=attributes.get("exec", attributes.get("type", attributes.get("plugin", ""))),
         name=attributes.get("name", ""),
-        namespace=f"{namespace}/{own}".strip("/"),
+        namespace=namespace,
         span=element.span,
         parameters=parameters,
         parameter_files=tuple(files),
@@ -366,7 +461,7 @@ def substituted(text: str, defaults: dict[str, str], depth: int = 0) -> str | No
     """Replaces substitutions in a text of a launch file; returns ``None`` if one is unknown."""
     unknown = False
 
-    def replace(match: re.Match[str]) -> str:
+    def value_of(match: re.Match[str]) -> str:
         nonlocal unknown
         kind, argument = match[1], match[2].strip()
         if kind in ("find-pkg-share", "find", "find-pkg-prefix") and argument:
@@ -378,7 +473,7 @@ def substituted(text: str, defaults: dict[str, str], depth: int = 0) -> str | No
         unknown = True
         return ""
 
-    result = _SUBSTITUTION.sub(replace, text)
+    result = _SUBSTITUTION.sub(value_of, text)
     return None if unknown or "$(" in result else result
 
 
@@ -401,18 +496,37 @@ MAX_LAUNCH_FILES = 200
 def launched_nodes(
     launch: facts.LaunchFile, evidence: facts.Evidence
 ) -> Iterator[facts.LaunchedNode]:
-    """Yields the nodes of a launch file and of the files that it includes without condition."""
+    """Yields the nodes of a launch file and of the files that it includes without condition.
+
+    Their name spaces are complete; an argument of unknown value is a name space of its own.
+    """
     by_path = {os.path.realpath(other.path): other for other in evidence.launches}
-    open_files, known = [launch], {os.path.realpath(launch.path)}
+    open_files: list[tuple[facts.LaunchFile, str, dict[str, str]]] = [(launch, "", {})]
+    known: set[tuple[str, str, str]] = set()
     while open_files and len(known) < MAX_LAUNCH_FILES:
-        current = open_files.pop()
-        yield from current.nodes
+        current, outer, passed = open_files.pop()
+        values = {**current.defaults, **passed}
+        for node in current.nodes:
+            yield replace(node, namespace=join(outer, _filled(node.namespace, values)))
         for include in current.includes:
-            path = resolved(include, current, evidence)
+            path = resolved(include.file, current, evidence)
             real = os.path.realpath(path) if path is not None else ""
-            if include.kind == "include" and real in by_path and real not in known:
-                known.add(real)
-                open_files.append(by_path[real])
+            namespace = join(outer, _filled(include.namespace, values))
+            arguments = {
+                name: _filled(value or f"<{name}>", values)
+                for name, value in include.arguments.items()
+            }
+            key = (real, namespace, str(arguments))
+            if not include.conditional and real in by_path and key not in known:
+                known.add(key)
+                open_files.append((by_path[real], namespace, arguments))
+
+
+_VARIABLE = re.compile(r"\$\((?:var|arg)\s+([\w-]+)\s*\)")
+
+
+def _filled(text: str, values: Mapping[str, str]) -> str:
+    return _VARIABLE.sub(lambda match: values.get(match[1], f"<{match[1]}>"), text)
 
 
 def resolved(fact: facts.Fact, launch: facts.LaunchFile, evidence: facts.Evidence) -> Path | None:

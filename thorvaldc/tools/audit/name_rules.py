@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from thorvaldc.diagnostics import Label, Report, did_you_mean
 from thorvaldc.tools.audit.audit_facts import (
-    Description,
     Evidence,
     Fact,
+    FileDescription,
     LaunchedNode,
     closest,
     is_nearer,
@@ -38,8 +38,8 @@ def check_joint_names(evidence: Evidence, report: Report) -> None:
                 _report_joint(fact, related[0], report)
 
 
-def _report_joint(fact: Fact, description: Description, report: Report) -> None:
-    known = [joint.name for joint in description.joints.values() if joint.kind != "fixed"]
+def _report_joint(fact: Fact, description: FileDescription, report: Report) -> None:
+    known = [joint.name for joint in description.joints.values() if joint.type != "fixed"]
     some = ", ".join(f"`{name}`" for name in known[:6])
     report.add(
         "audit-joint-unknown",
@@ -57,7 +57,8 @@ def _report_joint(fact: Fact, description: Description, report: Report) -> None:
 def check_launched_files(evidence: Evidence, report: Report) -> None:
     """Reports parameter files and launch files that do not exist in their package."""
     for launch in evidence.launches:
-        files = [*launch.includes, *(f for node in launch.nodes for f in node.parameter_files)]
+        includes = [include.file for include in launch.includes]
+        files = [*includes, *(f for node in launch.nodes for f in node.parameter_files)]
         for fact in files:
             path = resolved(fact, launch, evidence)
             is_local = str(fact.value).startswith("package://")
@@ -66,10 +67,9 @@ def check_launched_files(evidence: Evidence, report: Report) -> None:
             except (OSError, ValueError):
                 is_missing = True
             if is_missing:
-                what = "launch file" if fact.kind.endswith("include") else fact.kind
                 report.add(
                     "audit-file-missing",
-                    f"the {what} `{str(fact.value).removeprefix('package://')}` does not exist",
+                    f"the {fact.kind} `{fact.value.removeprefix('package://')}` does not exist",
                     fact.span,
                     hint="paths of packages begin with the folder that the package installs",
                 )
@@ -141,7 +141,7 @@ def check_frames(evidence: Evidence, report: Report) -> None:
     """Reports frames of the robot that no description has and no node publishes."""
     published = published_frames(evidence)
     known = published | {
-        name for d in evidence.descriptions for name in (*d.bodies, *d.frames, *d.joints)
+        name for d in evidence.descriptions for name in (*d.links, *d.frames, *d.joints)
     }
     for _, fact in evidence.described("gazebo reference"):
         if fact.value not in known:
