@@ -278,7 +278,7 @@ def _is_wheel(description: Description, joint: Joint) -> bool:
     """Returns whether a joint spins a round part, or one with the name of a wheel, about the y axis
     of the root."""
     axis = wheel_axis(description, joint)
-    if axis is None or abs(axis[1]) < 0.9 or joint.mimic is not None:
+    if axis is None or abs(axis[1]) < 0.9:
         return False
     parts = map(description.links.__getitem__, description.rigid_part(joint.child))
     shapes = [shape for part in parts for shape, *_ in description.shapes(part)]

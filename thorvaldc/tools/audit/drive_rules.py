@@ -8,7 +8,11 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import NamedTuple
 
-from thorvaldc.compiler.descriptions.description_rules import report_opposite_axes, wheel_axis
+from thorvaldc.compiler.descriptions.description_rules import (
+    report_opposite_axes,
+    right_name,
+    wheel_axis,
+)
 from thorvaldc.diagnostics import Label, Report, Span, plain
 from thorvaldc.model import Cylinder, Joint, Pose, Sphere, Vec3
 from thorvaldc.model.spatial import cross, dot, norm, sub
@@ -79,7 +83,8 @@ def check_sides(evidence: Evidence, report: Report) -> None:
                 report_opposite_axes(description, wheels[0], wheels[1], report)
                 offset = sub(poses[1].xyz, poses[0].xyz)  # type: ignore[union-attr]
                 axis = wheel_axis(description, wheels[0])
-                if axis is not None and abs(axis[1]) > 0.9 and offset[1] > 1e-3:
+                is_told = right_name(left) == right  # by the names in the description
+                if not is_told and axis is not None and abs(axis[1]) > 0.9 and offset[1] > 1e-3:
                     report.add(
                         "wheel-sides-exchanged",
                         f"{fact.subject} drives `{left}` on the left, which is"
