@@ -10,9 +10,8 @@ import re
 from collections.abc import Callable, Collection
 
 from thorvaldc.compiler.descriptions.description import Description
-from thorvaldc.diagnostics import Label, Report, plain
-from thorvaldc.model import Box, Cylinder, Joint, Link, Shape, Sphere, Vec3
-from thorvaldc.model.spatial import dot
+from thorvaldc.diagnostics import Label, Report, Span, plain
+from thorvaldc.model import Box, Cylinder, Joint, Link, Shape, Sphere
 from thorvaldc.model.sums import float_sum
 
 # Rounded inertias of thin bodies may break the triangle inequality a little in files of others.
@@ -260,45 +259,46 @@ def check_angles(description: Description, joint: Joint, report: Report) -> None
 def check_sides(description: Description, joint: Joint, report: Report) -> None:
     """Reports a left wheel that is on the right of the right wheel, or turns the other way."""
     other = description.joints.get(right_name(joint.name) or "")
-    if other is None or not all(_is_wheel(description, wheel) for wheel in (joint, other)):
-        return
-    left, right = (description.poses[wheel.child].xyz for wheel in (joint, other))
-    if left[1] < right[1] - 1e-3:
-        report.add(
-            "wheel-sides-exchanged",
-            f"`{joint.name}` is {plain(right[1] - left[1], 3)} m to the right of `{other.name}`",
-            joint.span,
-            hint="left is where y is larger, seen from behind; exchange the names or the places",
-            labels=[Label(other.span, "the wheel on the left")],
-        )
-    report_opposite_axes(description, joint, other, report)
+    if other is not None and all(_is_wheel(description, wheel) for wheel in (joint, other)):
+        judge_pair(description, joint, other, report)
 
 
 def _is_wheel(description: Description, joint: Joint) -> bool:
-    """Returns whether a joint spins a round part, or one with the name of a wheel, about the y axis
-    of the root."""
-    axis = wheel_axis(description, joint)
-    if axis is None or abs(axis[1]) < 0.9:
-        return False
-    parts = map(description.links.__getitem__, description.rigid_part(joint.child))
-    shapes = [shape for part in parts for shape, *_ in description.shapes(part)]
+    """Returns whether a joint moves a round part, or has the name of a wheel."""
+    parts = map(description.links.get, description.rigid_part(joint.child))
+    shapes = [s.shape for part in parts if part is not None for s in description.shapes(part)]
     is_round = any(isinstance(shape, Cylinder | Sphere) for shape in shapes)
     return is_round or "wheel" in f"{joint.name} {joint.child}".lower()
 
 
-def wheel_axis(description: Description, joint: Joint) -> Vec3 | None:
-    """Returns the axis of a joint that turns without limits, in the frame of the root."""
-    pose = description.poses.get(joint.child)
-    spins = joint.type == "continuous" and pose is not None
-    return pose.rotate(joint.axis) if spins and pose is not None else None
-
-
-def report_opposite_axes(
-    description: Description, left: Joint, right: Joint, report: Report
+def judge_pair(
+    description: Description,
+    left: Joint,
+    right: Joint,
+    report: Report,
+    drive: tuple[str, Span] | None = None,
 ) -> None:
-    """Reports two wheels that roll in opposite directions at equal joint speeds."""
-    axes = [wheel_axis(description, wheel) for wheel in (left, right)]
-    if axes[0] is not None and axes[1] is not None and dot(axes[0], axes[1]) < -0.9:
+    """Judges the sides and the axes of two wheels that spin about the y axis of the root.
+
+    - ``drive``: who drives them as a left and a right wheel, and where, if it is not their names.
+    """
+    poses = [description.poses.get(wheel.child) for wheel in (left, right)]
+    if poses[0] is None or poses[1] is None or {left.type, right.type} != {"continuous"}:
+        return
+    y_left, y_right = poses[0].rotate(left.axis)[1], poses[1].rotate(right.axis)[1]
+    if min(abs(y_left), abs(y_right)) < 0.9:
+        return
+    offset = poses[1].xyz[1] - poses[0].xyz[1]
+    if offset > 1e-3:
+        subject = f"`{left.name}` is" if drive is None else f"{drive[0]} drives `{left.name}` as"
+        report.add(
+            "wheel-sides-exchanged",
+            f"{subject} a left wheel, {plain(offset, 3)} m to the right of `{right.name}`",
+            left.span if drive is None else drive[1],
+            hint="left is where y is larger; exchange the names or the places",
+            labels=[Label(right.span, "the other wheel")],
+        )
+    if y_left * y_right < 0.0:
         report.add(
             "wheel-axes-opposite",
             f"the wheels at `{left.name}` and `{right.name}` turn about opposite axes: with equal"

@@ -49,7 +49,6 @@ RULES: tuple[Callable[[Evidence, Report], None], ...] = (
     body_rules.check_meshes,
     name_rules.check_launched_files,
     name_rules.check_controller_sections,
-    name_rules.check_node_ids,
 )
 
 
@@ -135,17 +134,13 @@ class _Reader:
     def read_yaml_file(self, file: RobotFile, data: bytes) -> None:
         is_parameters = b"ros__parameters" in data
         is_launch = b"launch:" in data and ".launch" in file.path.name
-        if not is_parameters and not is_launch and b"node_id" not in data:
+        if not is_parameters and not is_launch:
             return
         document = parameter_files.read_yaml(data, file.display, self.report)
-        if document is None:
-            return
-        if is_parameters:
+        if document is not None and is_parameters:
             self.evidence.sections += parameter_files.sections(document, file.display, file.path)
-        elif is_launch:
+        elif document is not None:
             self.evidence.launches.append(launch_files.read_yaml(document, file.display, file.path))
-        else:
-            self.evidence.facts += parameter_files.bus_facts(document)
 
     def read_xml_file(self, file: RobotFile, data: bytes) -> None:
         root = descriptions.read_xml(data, file.display, file.path)

@@ -275,7 +275,7 @@ def _facts_of(plugin: Element) -> list[Fact]:
 
 
 def ros2_control_facts(element: Element) -> list[Fact]:
-    """Returns the joints of a ``<ros2_control>`` element, their limits and node ids."""
+    """Returns the joints of a ``<ros2_control>`` element and their limits."""
     facts: list[Fact] = []
     subject = f'<ros2_control name="{element.attributes.get("name", "")}">'
     for child in element.children:
@@ -296,8 +296,6 @@ def _interface_facts(joint: Element, name: str, subject: str) -> list[Fact]:
     facts: list[Fact] = []
     for child in joint.children:
         interface = child.attributes.get("name", "")
-        if child.tag == "param" and interface == "node_id":
-            facts.append(Fact("node id", subject, child.text, child.span, "", (name,)))
         if child.tag != "command_interface":
             continue
         for parameter in child.children:

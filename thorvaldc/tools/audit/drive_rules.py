@@ -9,9 +9,8 @@ from functools import partial
 from typing import NamedTuple
 
 from thorvaldc.compiler.descriptions.description_rules import (
-    report_opposite_axes,
+    judge_pair,
     right_name,
-    wheel_axis,
 )
 from thorvaldc.diagnostics import Label, Report, Span, plain
 from thorvaldc.model import Cylinder, Joint, Pose, Sphere, Vec3
@@ -72,27 +71,13 @@ def check_sides(evidence: Evidence, report: Report) -> None:
     facts = [fact for _, fact in evidence.described("wheel separation")]
     for fact in (*facts, *evidence.stated("wheel separation")):
         middle = fact.names.index("")
-        pairs = list(zip(fact.names[:middle], fact.names[middle + 1 :], strict=False))
         names = tuple(filter(None, fact.names))
         for description in evidence.related(fact.span.file, names)[:1]:
-            for left, right in pairs:
-                wheels = [description.joints.get(name) for name in (left, right)]
-                poses = [description.poses.get(w.child) for w in wheels if w is not None]
-                if wheels[0] is None or wheels[1] is None or None in poses:
-                    continue
-                report_opposite_axes(description, wheels[0], wheels[1], report)
-                offset = sub(poses[1].xyz, poses[0].xyz)  # type: ignore[union-attr]
-                axis = wheel_axis(description, wheels[0])
-                is_told = right_name(left) == right  # by the names in the description
-                if not is_told and axis is not None and abs(axis[1]) > 0.9 and offset[1] > 1e-3:
-                    report.add(
-                        "wheel-sides-exchanged",
-                        f"{fact.subject} drives `{left}` on the left, which is"
-                        f" {plain(offset[1], 3)} m to the right of `{right}`",
-                        fact.span,
-                        hint="exchange the left and the right wheels of the drive",
-                        labels=[Label(wheels[0].span, "this joint")],
-                    )
+            for pair in zip(fact.names[:middle], fact.names[middle + 1 :], strict=False):
+                left, right = map(description.joints.get, pair)
+                is_judged = right_name(pair[0]) == pair[1]  # by the names in the description
+                if left is not None and right is not None and not is_judged:
+                    judge_pair(description, left, right, report, (fact.subject, fact.span))
 
 
 def _differing(

@@ -11,14 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from thorvaldc.compiler.extras.xacro_expand import Element
-from thorvaldc.diagnostics import Report, did_you_mean
+from thorvaldc.diagnostics import Report
 from thorvaldc.model import Pose, Vec3, spatial
 from thorvaldc.tools.audit.audit_facts import FileDescription
 from thorvaldc.tools.audit.descriptions import UrdfElements, numbers, read_description, vector
 
 Include = Callable[[str, Element], Element | None]
 MAX_INCLUDES = 50
-_JOINT_REFERENCES = ("joint", "joint1", "joint2", "jointinparent")
 
 
 def read_mjcf_description(
@@ -42,9 +41,6 @@ def read_mjcf_description(
             reader.children(section, "", "main", Pose())
     read_description(description, reader.elements, report)
     description.frames = reader.frames
-    for section in sections if reader.is_complete else ():
-        if section.tag in ("actuator", "sensor", "equality", "tendon"):
-            _check_references(section, description, report)
     return description if description.joints else None
 
 
@@ -71,7 +67,6 @@ class _Reader:
         self.angle = math.pi / 180.0
         self.sequence = "xyz"
         self.defaults: dict[str, dict[str, dict[str, str]]] = {"main": {}}
-        self.is_complete = True
 
     def read_compiler(self, element: Element) -> None:
         if element.attributes.get("angle") == "radian":
@@ -137,8 +132,6 @@ class _Reader:
                 self.frames.add(child.attributes.get("name", ""))
             elif child.tag == "inertial":
                 parts += _inertial(child)
-            elif child.tag in ("attach", "replicate", "composite", "flexcomp", "include"):
-                self.is_complete = False  # MuJoCo makes bodies with names of their own
         return parts
 
     def body(self, element: Element, parent: str, class_name: str, offset: Pose) -> None:
@@ -235,20 +228,3 @@ def _place(element: Element) -> str:
 
 def _unit(a: Vec3) -> Vec3:
     return spatial.scale(1.0 / spatial.norm(a), a)
-
-
-def _check_references(section: Element, description: FileDescription, report: Report) -> None:
-    """Reports joints of actuators, sensors and constraints that do not exist."""
-    known = description.joints
-    for element in section.children:
-        for attribute in _JOINT_REFERENCES:
-            name = element.attributes.get(attribute)
-            if name is None or name in known:
-                continue
-            report.add(
-                "audit-joint-unknown",
-                f"<{element.tag}> `{element.attributes.get('name', '')}` names joint `{name}`,"
-                " which the file does not have",
-                element.span,
-                hint=did_you_mean(name, known, fixable=False),
-            )

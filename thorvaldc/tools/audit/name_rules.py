@@ -1,4 +1,4 @@
-"""Rules about names: joints, files, controllers, CAN nodes and frames that files name must exist.
+"""Rules about names: joints, files, controllers and frames that files name must exist.
 
 Each transform has one owner.
 """
@@ -102,35 +102,6 @@ def check_controller_sections(evidence: Evidence, report: Report) -> None:
                 section.span,
                 hint=did_you_mean(section.short_name, declared, loaded, fixable=False),
                 labels=[Label(managers[0].span, "the controller manager")],
-            )
-
-
-def check_node_ids(evidence: Evidence, report: Report) -> None:
-    """Reports CANopen node ids that occur twice on a bus, or differ from ``<ros2_control>``."""
-    by_file: dict[str, dict[int, Fact]] = {}
-    for fact in evidence.stated("bus node id"):
-        first = by_file.setdefault(fact.span.file, {}).setdefault(fact.value, fact)
-        if first is not fact:
-            report.add(
-                "audit-node-id",
-                f"{fact.subject} and {first.subject} have the node id {fact.value} on one bus",
-                fact.span,
-                hint="give each device an id of its own",
-                labels=[Label(first.span, "the other device")],
-            )
-    known = {node_id for ids in by_file.values() for node_id in ids}
-    for _, fact in evidence.described("node id"):
-        try:
-            node_id = int(str(fact.value).strip(), 0)
-        except ValueError:
-            continue
-        if known and node_id not in known:
-            files = ", ".join(f"`{file}`" for file in by_file)
-            report.add(
-                "audit-node-id",
-                f"joint `{fact.names[0]}` uses the node id {node_id}, which {files} does not have",
-                fact.span,
-                hint=f"the ids there are {', '.join(map(str, sorted(known)))}",
             )
 
 

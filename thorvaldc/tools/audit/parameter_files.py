@@ -129,25 +129,6 @@ def flattened(node: Node) -> dict[str, Node]:
     return values
 
 
-def bus_facts(document: Node) -> list[Fact]:
-    """Returns the CANopen node ids in a bus.yml of ros2_canopen, by the name of the device."""
-    if not isinstance(document.value, dict) or "master" not in document.value:
-        return []
-    facts: list[Fact] = []
-
-    def collect(node: Node, name: str, depth: int) -> None:
-        node_id = node.get("node_id")
-        if node_id is not None and isinstance(node_id.value, int):
-            facts.append(Fact("bus node id", f"`{name}`", node_id.value, node_id.span, "", (name,)))
-        elif isinstance(node.value, dict) and depth < 3 and name not in ("options", "defaults"):
-            for key, child in node.value.items():
-                collect(child, key, depth + 1)
-
-    for key, child in document.value.items():
-        collect(child, key, 0)
-    return facts
-
-
 # -- statements about wheels and joints -------------------------------------------------
 
 LEFT = (
