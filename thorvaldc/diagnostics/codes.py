@@ -391,7 +391,6 @@ _TABLE: tuple[Code, ...] = (
     _error("TV962", "audit-mesh-missing", "a mesh file does not exist"),
     _warning("TV963", "audit-file-missing", "a launch file names a file that does not exist"),
     _warning("TV964", "audit-key-twice", "a parameter file contains a key twice"),
-    _warning("TV965", "audit-section-unused", "no controller reads a section of parameters"),
     _error("TV967", "price-invalid", "a price is no amount with a currency, or of an assembly"),
     _warning("TV968", "wheel-sides-exchanged", "a left wheel is on the right of the right wheel"),
     _warning("TV969", "wheel-axes-opposite", "a left and a right wheel turn about opposite axes"),

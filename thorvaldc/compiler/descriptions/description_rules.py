@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Collection
+from typing import NamedTuple
 
 from thorvaldc.compiler.descriptions.description import Description
 from thorvaldc.diagnostics import Label, Report, Span, plain
 from thorvaldc.model import Box, Cylinder, Joint, Link, Shape, Sphere
-from thorvaldc.model.sums import float_sum
 
 # Rounded inertias of thin bodies may break the triangle inequality a little in files of others.
 TOLERANCE = {"robot": 1e-6, "extra": 1e-6, "file": 0.01}
@@ -106,15 +106,23 @@ def check_inertia(description: Description, link: Link, report: Report) -> None:
         )
 
 
-def half_diagonal(shape: Shape) -> float | None:
-    """Returns the largest distance (m) of a point of a shape from its centre, if it is known."""
+class _Measures(NamedTuple):
+    """Half diagonal (m), longest edge (m) and volume (m^3) of a shape."""
+
+    half_diagonal: float
+    length: float
+    volume: float
+
+
+def measures(shape: Shape) -> _Measures | None:
+    """Returns the measures of a shape, or ``None`` for a mesh."""
     match shape:
-        case Box(size):
-            return math.hypot(*size) / 2.0
-        case Cylinder(radius, length):
-            return math.hypot(radius, length / 2.0)
-        case Sphere(radius):
-            return radius
+        case Box((x, y, z)):
+            return _Measures(math.hypot(x, y, z) / 2.0, max(x, y, z), x * y * z)
+        case Cylinder(r, h):
+            return _Measures(math.hypot(r, h / 2.0), max(2.0 * r, h), math.pi * r**2 * h)
+        case Sphere(r):
+            return _Measures(r, 2.0 * r, 4.0 / 3.0 * math.pi * r**3)
     return None
 
 
@@ -122,22 +130,11 @@ def _reach(description: Description, link: Link) -> float | None:
     """Returns an upper limit of the distance of two points of a link in m, if it is known."""
     reaches: list[float] = []
     for shape, pose, _, _ in description.shapes(link):
-        half = half_diagonal(shape)
-        if half is None:
+        size = measures(shape)
+        if size is None:
             return None
-        reaches.append(half + math.hypot(*pose.xyz))
+        reaches.append(size.half_diagonal + math.hypot(*pose.xyz))
     return 2.0 * max(reaches) if reaches else None
-
-
-def _volume(shape: Shape) -> float:
-    match shape:
-        case Box((x, y, z)):
-            return x * y * z
-        case Cylinder(radius, length):
-            return math.pi * radius**2 * length
-        case Sphere(radius):
-            return 4.0 / 3.0 * math.pi * radius**3
-    return math.nan
 
 
 def check_density(description: Description, link: Link, report: Report) -> None:
@@ -145,12 +142,14 @@ def check_density(description: Description, link: Link, report: Report) -> None:
     body = link.inertial
     if body is None or body.mass <= 0.0 or _carries_shapes(description, link):
         return
-    volumes = [
-        float_sum(_volume(s.shape) for s in description.shapes(link) if s.collides is collides)
-        for collides in (True, False)
-    ]
-    volume = max(volumes)
-    if math.isnan(float_sum(volumes)) or volume <= 0.0:
+    volumes = {True: 0.0, False: 0.0}
+    for shape, _, collides, _ in description.shapes(link):
+        size = measures(shape)
+        if size is None:
+            return
+        volumes[collides] += size.volume
+    volume = max(volumes.values())
+    if volume <= 0.0:
         return
     density = body.mass / volume
     if density > MAX_DENSITY or density < MIN_DENSITY:
@@ -178,26 +177,15 @@ def _carries_shapes(description: Description, link: Link) -> bool:
 def check_lengths(description: Description, link: Link, report: Report) -> None:
     """Reports shapes of a size that suggests millimetres."""
     for shape, _, _, span in description.shapes(link):
-        length = _length(shape)
-        if length > MAX_LENGTH:
+        size = measures(shape)
+        if size is not None and size.length > MAX_LENGTH:
             report.add(
                 "audit-length-unit",
                 f"a {type(shape).__name__.lower()} of link `{link.name}` measures"
-                f" {plain(length, 3)} m",
+                f" {plain(size.length, 3)} m",
                 span,
                 hint="lengths are in m; is this one in mm?",
             )
-
-
-def _length(shape: Shape) -> float:
-    match shape:
-        case Box(size):
-            return max(size)
-        case Cylinder(radius, length):
-            return max(2.0 * radius, length)
-        case Sphere(radius):
-            return 2.0 * radius
-    return 0.0
 
 
 LINK_RULES: tuple[Callable[[Description, Link, Report], None], ...] = (

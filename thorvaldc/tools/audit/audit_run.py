@@ -48,7 +48,6 @@ RULES: tuple[Callable[[Evidence, Report], None], ...] = (
     body_rules.check_bodies,
     body_rules.check_meshes,
     name_rules.check_launched_files,
-    name_rules.check_controller_sections,
 )
 
 
@@ -254,38 +253,28 @@ def skip(display: str, reason: str, report: Report, span: Span | None = None) ->
 def survey(names: list[str], report: Report) -> Survey:
     """Finds the robot files in folders and adds named files; reports names that do not exist."""
     result = Survey()
-    known: set[str] = set()
     for name in names:
         path = Path(name)
         if not path.exists():
             report.add("file-not-found", f"`{name}` does not exist", Span(name))
-        elif path.is_dir():
-            _walk(path, name, result, known, report)
+            continue
+        folder = path.absolute() if path.is_dir() else path.absolute().parent
+        above = (up for up in (folder, *folder.parents) if (up / "package.xml").is_file())
+        for package in itertools.islice(above, 1):
+            _read_package(package, result)
+        if path.is_dir():
+            _walk(folder, name, result, report)
         else:
-            folder = path.absolute().parent
-            _add(result, known, RobotFile(path.absolute(), name, folder, str(path.parent)))
-            _find_package_above(folder, result)
+            result.files.append(RobotFile(path.absolute(), name, folder, str(path.parent)))
+    files: dict[str, RobotFile] = {}
+    for file in result.files:  # a file that is named twice, also by links, is read once
+        files.setdefault(os.path.realpath(file.path), file)
+    result.files = list(files.values())
     return result
 
 
-def _add(result: Survey, known: set[str], file: RobotFile) -> None:
-    real = os.path.realpath(file.path)
-    if real not in known:
-        known.add(real)
-        result.files.append(file)
-
-
-def _find_package_above(folder: Path, result: Survey) -> None:
-    for above in (folder, *folder.parents):
-        if (above / "package.xml").is_file():
-            _read_package(above, result)
-            return
-
-
-def _walk(root: Path, display: str, result: Survey, known: set[str], report: Report) -> None:
+def _walk(root: Path, display: str, result: Survey, report: Report) -> None:
     """Adds the files below a folder; links to folders are not followed."""
-    root = root.absolute()
-    _find_package_above(root, result)
     entries = 0
     for folder, folders, files in os.walk(root):
         entries += len(folders) + len(files)
@@ -307,7 +296,7 @@ def _walk(root: Path, display: str, result: Survey, known: set[str], report: Rep
             if not name.endswith(SUFFIXES) or name.startswith("."):
                 continue
             shown = os.path.normpath(os.path.join(display, path.relative_to(root)))
-            _add(result, known, RobotFile(path, shown.replace(os.sep, "/"), root, display))
+            result.files.append(RobotFile(path, shown.replace(os.sep, "/"), root, display))
         if len(result.files) > MAX_FILES or entries > MAX_ENTRIES:
             number = f"{MAX_FILES} robot" if len(result.files) > MAX_FILES else str(MAX_ENTRIES)
             del result.files[MAX_FILES:]

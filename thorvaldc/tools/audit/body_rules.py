@@ -14,7 +14,7 @@ from thorvaldc.compiler.descriptions.description import PlacedShape
 from thorvaldc.compiler.descriptions.description_rules import (
     MAX_LENGTH,
     check_description,
-    half_diagonal,
+    measures,
 )
 from thorvaldc.compiler.shapes.meshes import load_mesh, shared_mesh_workers
 from thorvaldc.diagnostics import Label, Report, Span, plain
@@ -86,7 +86,8 @@ def _meshes(evidence: facts.Evidence) -> list[_LinkMesh]:
     for description in evidence.descriptions:
         for link in description.links.values() if description.format != "MJCF" else ():
             shapes = list(description.shapes(link))
-            other = max((half_diagonal(s.shape) or 0.0 for s in shapes), default=0.0) or math.inf
+            sizes = [size for s in shapes if (size := measures(s.shape)) is not None]
+            other = max((size.half_diagonal for size in sizes), default=math.inf)
             for shape, _, _, span in shapes:
                 if isinstance(shape, MeshShape):
                     path = _mesh_path(shape.mesh, description, evidence)

@@ -22,15 +22,6 @@ MAX_ELEMENTS = 200_000
 MAX_DEPTH = 100
 
 
-class _OpenElement:
-    def __init__(self, tag: str, attributes: dict[str, str], span: Span) -> None:
-        self.tag = tag
-        self.attributes = attributes
-        self.span = span
-        self.children: list[Element] = []
-        self.texts: list[str] = []
-
-
 def read_xml(data: bytes, display: str, path: Path) -> Element:
     """Returns the root element of an XML document.
 
@@ -38,7 +29,8 @@ def read_xml(data: bytes, display: str, path: Path) -> Element:
     nested more than ``MAX_DEPTH`` levels deep or has more than ``MAX_ELEMENTS`` elements.
     """
     parser = expat.ParserCreate()
-    open_elements = [_OpenElement("", {}, Span(display))]
+    # The open elements: attributes, place, children and texts of each.
+    stack: list[tuple[dict[str, str], Span, list[Element], list[str]]] = [({}, Span(""), [], [])]
     count = 0
 
     def here(length: int = 1) -> Span:
@@ -50,22 +42,21 @@ def read_xml(data: bytes, display: str, path: Path) -> Element:
         count += 1
         if count > MAX_ELEMENTS:
             raise UnreadableFileError(f"it has more than {MAX_ELEMENTS} elements", here())
-        if len(open_elements) > MAX_DEPTH:
+        if len(stack) > MAX_DEPTH:
             raise UnreadableFileError(f"it is nested more than {MAX_DEPTH} levels deep", here())
-        open_elements.append(_OpenElement(tag, attributes, here(len(tag) + 1)))
+        stack.append((attributes, here(len(tag) + 1), [], []))
 
     def end(tag: str) -> None:
-        raw = open_elements.pop()
-        text = "".join(raw.texts).strip()
-        element = Element(raw.tag, raw.attributes, tuple(raw.children), text, raw.span, (), path)
-        open_elements[-1].children.append(element)
+        attributes, span, children, texts = stack.pop()
+        text = "".join(texts).strip()
+        stack[-1][2].append(Element(tag, attributes, tuple(children), text, span, (), path))
 
     def refuse(*_: Any) -> None:
         raise UnreadableFileError("it defines entities", here())
 
     parser.StartElementHandler = start
     parser.EndElementHandler = end
-    parser.CharacterDataHandler = lambda text: open_elements[-1].texts.append(text)
+    parser.CharacterDataHandler = lambda text: stack[-1][3].append(text)
     parser.EntityDeclHandler = refuse
     try:
         parser.Parse(data, True)
@@ -75,7 +66,7 @@ def read_xml(data: bytes, display: str, path: Path) -> Element:
         raise UnreadableFileError(f"line {error.lineno}: {text}", span) from None
     except LookupError as error:  # an encoding that Python does not know
         raise UnreadableFileError(str(error), here()) from None
-    return open_elements[0].children[0]
+    return stack[0][2][0]
 
 
 def numbers(text: str | None, count: int) -> tuple[float, ...] | None:
@@ -213,23 +204,13 @@ def _text(values: Sequence[float]) -> str:
 
 # -- plug-ins of Gazebo and ``<ros2_control>`` ------------------------------------------
 
-# Parameters of drive plug-ins: tag -> (kind of the fact, factor to SI).
+# Lengths of drive plug-ins, by their names without capitals and `_`: kind and factor to m.
 _GEOMETRY = {
-    "wheel_radius": ("wheel radius", 1.0),
-    "wheel_diameter": ("wheel radius", 0.5),
-    "wheel_separation": ("wheel separation", 1.0),
-    "wheelSeparation": ("wheel separation", 1.0),
-    "wheelDiameter": ("wheel radius", 0.5),
+    "wheelradius": ("wheel radius", 1.0),
+    "wheeldiameter": ("wheel radius", 0.5),
+    "wheelseparation": ("wheel separation", 1.0),
     "wheelbase": ("wheelbase", 1.0),
-    "wheel_base": ("wheelbase", 1.0),
 }
-_FRONT = ("front_left_joint", "front_right_joint")
-_BACK = ("back_left_joint", "back_right_joint", "rear_left_joint", "rear_right_joint")
-_LEFT = ("left_joint", "leftJoint", "front_left_joint", "back_left_joint", "rear_left_joint")
-_RIGHT = ("right_joint", "rightJoint", "front_right_joint", "back_right_joint", "rear_right_joint")
-_SIDES = ("left_steering_joint", "right_steering_joint")
-_STEERING = tuple(f"{row}{joint}" for row in ("", "front_", "back_") for joint in _SIDES)
-_JOINTS = (*_LEFT, *_RIGHT, *_STEERING, "joint_name")
 
 
 def plugin_facts(element: Element) -> list[Fact]:
@@ -248,29 +229,32 @@ def _facts_of(plugin: Element) -> list[Fact]:
     name = plugin.attributes.get("name") or plugin.attributes.get("filename", "")
     subject = f"plug-in `{name}`"
     facts: list[Fact] = []
-    left = tuple(c.text for c in plugin.children if c.tag in _LEFT)
-    right = tuple(c.text for c in plugin.children if c.tag in _RIGHT)
-    front = tuple(c.text for c in plugin.children if c.tag in _FRONT)
-    back = tuple(c.text for c in plugin.children if c.tag in _BACK)
-    joints = {
+    values = [(child.tag.replace("_", "").lower(), child) for child in plugin.children]
+    joints = [
+        (key, child)
+        for key, child in values
+        if (key.endswith("joint") and ("left" in key or "right" in key)) or key == "jointname"
+    ]
+    wheels = [(key, child.text) for key, child in joints if "steering" not in key]
+    left, right, front, back, rear = (
+        tuple(joint for key, joint in wheels if side in key)
+        for side in ("left", "right", "front", "back", "rear")
+    )
+    sides = {
         "wheel radius": (*left, *right),
         "wheel separation": (*left, "", *right),
-        "wheelbase": (*front, "", *back),
+        "wheelbase": (*front, "", *back, *rear),
     }
-    for child in plugin.children:
-        if child.tag in _JOINTS:
-            facts.append(Fact("joint", subject, child.text, child.span))
-        elif child.tag in ("publish_odom_tf", "publishOdomTF") and child.text in ("true", "1"):
-            frame = plugin.find("odometry_frame") or plugin.find("odometryFrame")
-            odom = frame.text.strip("/") if frame is not None else "odom"
-            shown = f"{subject} ({child.tag})"
-            facts.append(Fact("plug-in transform", shown, True, child.span, "", (odom,)))
-        elif child.tag in _GEOMETRY:
-            kind, factor = _GEOMETRY[child.tag]
-            values = numbers(child.text, 1)
-            if values is not None:
-                value = values[0] * factor
-                facts.append(Fact(kind, subject, value, child.span, "m", joints[kind]))
+    facts += [Fact("joint", subject, child.text, child.span) for _, child in joints]
+    for key, child in values:
+        kind, factor = _GEOMETRY.get(key, ("", 0.0))
+        length = numbers(child.text, 1)
+        if key == "publishodomtf" and child.text in ("true", "1"):
+            frames = [frame.text.strip("/") for name, frame in values if name == "odometryframe"]
+            shown, names = f"{subject} ({child.tag})", tuple(frames or ["odom"])
+            facts.append(Fact("plug-in transform", shown, True, child.span, "", names))
+        elif kind and length is not None:
+            facts.append(Fact(kind, subject, factor * length[0], child.span, "m", sides[kind]))
     return facts
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -25,27 +25,10 @@ TOLERANCE = 0.01
 
 def check_wheels(evidence: Evidence, report: Report) -> None:
     """Compares each stated wheel radius, wheel separation and wheelbase with the description."""
-    for kind, measure, motion, hint in (
-        (
-            "wheel radius",
-            _true_radius,
-            "drives",
-            "write the measured radius in all files, or keep the geometry and set the"
-            " controller's radius multiplier",
-        ),
-        (
-            "wheel separation",
-            partial(_true_distance, axis=1),
-            "turns",
-            "write the true separation; corrections for slip belong in the controller's"
-            " separation multiplier",
-        ),
-        (
-            "wheelbase",
-            partial(_true_distance, axis=0),
-            "",
-            "write the true distance of the front and the rear wheels",
-        ),
+    for kind, measure, motion in (
+        ("wheel radius", _true_radius, "drives"),
+        ("wheel separation", partial(_true_distance, axis=1), "turns"),
+        ("wheelbase", partial(_true_distance, axis=0), ""),
     ):
         code = "audit-wheel-radius" if kind == "wheel radius" else "audit-wheel-separation"
         for fact, true in _differing(kind, measure, evidence):
@@ -61,7 +44,8 @@ def check_wheels(evidence: Evidence, report: Report) -> None:
                 f"{fact.subject} computes with a {kind} of {plain(fact.value)} m, but"
                 f" {true.subject} has {plain(true.value)} m{effect if motion else ''}",
                 fact.span,
-                hint=hint,
+                hint="write the measured value in all files; corrections for load and slip belong"
+                " in the multipliers of the controller",
                 labels=[Label(true.span, f"{plain(true.value)} m here")],
             )
 
@@ -202,9 +186,6 @@ def _round_shapes(description: FileDescription, joint: Joint) -> list[_Wheel]:
 
 # -- limits of joints, and one robot in several descriptions ----------------------------
 
-# A wheel that sinks into the soft contact of a simulator may be a little larger there.
-RADIUS_TOLERANCE = 0.02
-
 
 def check_command_limits(evidence: Evidence, report: Report) -> None:
     """Reports commands of ``<ros2_control>`` that go beyond the limits of the joint."""
@@ -257,59 +238,53 @@ def _pairs(evidence: Evidence) -> Iterator[tuple[FileDescription, FileDescriptio
                 yield a, b
 
 
+# Relative and absolute tolerances.  A wheel that sinks into the soft contact of a simulator may be
+# a little larger there.
+_TOLERANCES = {"wheel radius": (0.02, 0.0), "distance": (TOLERANCE, 0.002)}
+
+
 def check_descriptions_agree(evidence: Evidence, report: Report) -> None:
     """Reports limits, wheel radii and wheel positions that differ between formats of one robot."""
     for a, b in _pairs(evidence):
-        wheels: list[str] = []
-        for name, joint in a.joints.items():
-            other = b.joints.get(name)
-            if other is None:
+        names = [name for name in a.joints if name in b.joints]
+        wheels = [n for n in names if all(wheel_radius(d, d.joints[n]) for d in (a, b))]
+        others = _quantities(b, names, wheels)
+        for what, first in _quantities(a, names, wheels).items():
+            second = others.get(what)
+            relative, absolute = _TOLERANCES.get(first.kind, (TOLERANCE, 1e-5))
+            if second is None or first.unit != second.unit:
                 continue
-            for quantity in ("lower", "upper", "velocity", "effort"):
-                first, second = a.limit(joint, quantity), b.limit(other, quantity)
-                if first is None or second is None or first.unit != second.unit:
-                    continue
-                width = max(abs(first.value), abs(second.value), 1e-3)
-                if abs(first.value - second.value) > TOLERANCE * width:
-                    _report(f"the {quantity} limit of joint `{name}`", first, second, a, b, report)
-            radius, other_radius = wheel_radius(a, joint), wheel_radius(b, other)
-            if radius is None or other_radius is None:
-                continue
-            wheels.append(name)
-            if not math.isclose(radius.value, other_radius.value, rel_tol=RADIUS_TOLERANCE):
-                what = f"the wheel radius at joint `{name}`"
-                _report(what, radius, other_radius, a, b, report)
-        _check_distances(wheels, a, b, report)
+            if not math.isclose(first.value, second.value, rel_tol=relative, abs_tol=absolute):
+                report.add(
+                    "audit-descriptions-differ",
+                    f"{what} is {second.value:.6g} {second.unit} in {b.format}, but"
+                    f" {first.value:.6g} {first.unit} in {a.format}",
+                    second.span,
+                    hint="make both files from one source",
+                    labels=[Label(first.span, f"{first.value:.6g} {first.unit} here")],
+                )
 
 
-def _check_distances(
-    wheels: list[str], a: FileDescription, b: FileDescription, report: Report
-) -> None:
-    """Reports wheels whose distance from the first wheel differs between two descriptions."""
-    for name in wheels[1:]:
-        facts: list[Fact] = []
-        for description in (a, b):
-            joints = (description.joints[wheels[0]], description.joints[name])
-            start, end = (wheel_center(description, joint) for joint in joints)
-            if start is not None and end is not None:
-                facts.append(Fact("distance", name, norm(sub(end, start)), joints[1].span, "m"))
-        lengths = [fact.value for fact in facts]
-        if len(lengths) == 2 and not math.isclose(*lengths, rel_tol=TOLERANCE, abs_tol=0.002):
+def _quantities(
+    description: FileDescription, names: Sequence[str], wheels: Sequence[str]
+) -> dict[str, Fact]:
+    """Returns limits, wheel radii and distances from the first wheel, by their names."""
+    facts: dict[str, Fact] = {}
+    for name in names:
+        for quantity in ("lower", "upper", "velocity", "effort"):
+            limit = description.limit(description.joints[name], quantity)
+            if limit is not None:
+                facts[f"the {quantity} limit of joint `{name}`"] = limit
+    for name in wheels:
+        joint, first = description.joints[name], description.joints[wheels[0]]
+        radius = wheel_radius(description, joint)
+        if radius is not None:
+            facts[f"the wheel radius at joint `{name}`"] = radius
+        start, end = wheel_center(description, first), wheel_center(description, joint)
+        if start is not None and end is not None:
             what = f"the distance of the wheels at joints `{wheels[0]}` and `{name}`"
-            _report(what, facts[0], facts[1], a, b, report)
-
-
-def _report(
-    what: str, first: Fact, second: Fact, a: FileDescription, b: FileDescription, report: Report
-) -> None:
-    report.add(
-        "audit-descriptions-differ",
-        f"{what} is {second.value:.6g} {second.unit} in {b.format}, but {first.value:.6g}"
-        f" {first.unit} in {a.format}",
-        second.span,
-        hint="make both files from one source",
-        labels=[Label(first.span, f"{first.value:.6g} {first.unit} here")],
-    )
+            facts[what] = Fact("distance", name, norm(sub(end, start)), joint.span, "m")
+    return facts
 
 
 # -- twists: stamped against unstamped, and speeds beyond the limits --------------------

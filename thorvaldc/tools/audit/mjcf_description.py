@@ -95,13 +95,6 @@ class _Reader:
         quat = numbers(attributes.get("quat"), 4)
         if quat is not None and any(quat):
             return Pose(position, spatial.quat_normalize((quat[0], quat[1], quat[2], quat[3])))
-        axis_angle = numbers(attributes.get("axisangle"), 4)
-        if axis_angle is not None and any(axis_angle[:3]):
-            axis = _unit((axis_angle[0], axis_angle[1], axis_angle[2]))
-            return Pose(position, spatial.quat_from_axis_angle(axis, axis_angle[3] * self.angle))
-        z_axis = vector(attributes.get("zaxis"))
-        if any(z_axis):
-            return Pose(position, spatial.quat_from_z_to(_unit(z_axis)))
         rotation = (1.0, 0.0, 0.0, 0.0)
         euler = numbers(attributes.get("euler"), 3) or ()
         for letter, value in zip(self.sequence, euler, strict=False):

@@ -1,4 +1,4 @@
-"""Rules about names: joints, files, controllers and frames that files name must exist.
+"""Rules about names: joints, files and frames that files name must exist.
 
 Each transform has one owner.
 """
@@ -15,7 +15,7 @@ from thorvaldc.tools.audit.audit_facts import (
     is_nearer,
 )
 from thorvaldc.tools.audit.launch_files import launched_nodes, resolved
-from thorvaldc.tools.audit.parameter_files import is_drive_controller, published_frames
+from thorvaldc.tools.audit.parameter_files import published_frames
 
 
 def check_joint_names(evidence: Evidence, report: Report) -> None:
@@ -73,36 +73,6 @@ def check_launched_files(evidence: Evidence, report: Report) -> None:
                     fact.span,
                     hint="paths of packages begin with the folder that the package installs",
                 )
-
-
-def check_controller_sections(evidence: Evidence, report: Report) -> None:
-    """Reports parameters of a drive controller that no controller manager loads."""
-    for section in evidence.sections:
-        if not is_drive_controller(section) or section.short_name in ("**", "*"):
-            continue
-        if "type" in section.values:  # its spawner passes the section with the type
-            continue
-        managers = [
-            other
-            for other in evidence.sections
-            if other.file == section.file and other.short_name == "controller_manager"
-        ]
-        declared = [
-            name.removesuffix(".type")
-            for manager in managers
-            for name in manager.values
-            if name.endswith(".type")
-        ]
-        if declared and section.short_name not in declared:
-            loaded = f"it loads {', '.join(f'`{name}`' for name in declared[:6])}"
-            report.add(
-                "audit-section-unused",
-                f"the controller manager of this file loads no controller `{section.short_name}`,"
-                " so nobody reads these parameters",
-                section.span,
-                hint=did_you_mean(section.short_name, declared, loaded, fixable=False),
-                labels=[Label(managers[0].span, "the controller manager")],
-            )
 
 
 # -- frames and transforms --------------------------------------------------------------
