@@ -335,6 +335,16 @@ _FLAG = re.compile(
 )
 
 
+class _Job(NamedTuple):
+    """A file to expand with some arguments; ``path`` is the file, or one that calls its macro."""
+
+    file: RobotFile
+    data: bytes
+    path: Path
+    arguments: dict[str, str]
+    is_variant: bool = False
+
+
 class _Expansion:
     """Adds the descriptions in URDF and xacro files to the result of an audit."""
 
@@ -343,7 +353,6 @@ class _Expansion:
         self.evidence, self.report, self.sources = result.evidence, result.report, result.sources
         self.trust = trust
         self.included: set[Path] = set()
-        self.end = time.monotonic() + EXPANSION_SECONDS
 
     def read_files(self, files: Sequence[tuple[RobotFile, bytes]]) -> None:
         """Expands the files that describe a robot: those with a name of the robot, and those that
@@ -357,109 +366,81 @@ class _Expansion:
         self.included = {
             file.path for file, _ in files if any(fnmatch(file.path.name, end) for end in ends)
         }
-        tops = [
-            (file, data)
+        jobs = [
+            _Job(file, data, file.path, {})
             for file, data in files
             if (robot := _ROBOT.search(data)) is not None
             and (re.search(rb"\bname\s*=", robot[1]) or file.path not in self.included)
         ]
-        for start in range(0, len(tops), FILES_PER_WORKER):
-            self.read(tops[start : start + FILES_PER_WORKER])
+        end = time.monotonic() + EXPANSION_SECONDS
+        with tempfile.TemporaryDirectory() as folder:
+            while jobs and time.monotonic() < end:
+                first = jobs[0].file
+                batch = [j for j in jobs[:FILES_PER_WORKER] if j.file.root == first.root]
+                jobs = [job for job in jobs if job not in batch]
+                for job, result in zip(batch, self.expand(batch), strict=True):
+                    self.sources.update(result.files)
+                    jobs += self.read(job, result, Path(folder))
+        for job in jobs:
+            if not job.is_variant:
+                self.skip(job.file, "the expansion of the other files took too long")
 
-    def expand(
-        self, file: RobotFile, paths: Sequence[Path], variants: Sequence[dict[str, str]]
-    ) -> list[ExpandedFile]:
-        """Expands files below the root of ``file`` with the arguments ``variants``."""
-        display = "" if file.root_display == "." else file.root_display
+    def expand(self, jobs: Sequence[_Job]) -> list[ExpandedFile]:
+        """Expands files below one root."""
+        file = jobs[0].file
         requests = [
-            xacro_expand.ExpansionRequest(path, args, self.packages, source_layout=True)
-            for path, args in zip(paths, variants, strict=True)
+            xacro_expand.ExpansionRequest(
+                job.path, job.arguments, self.packages, source_layout=True
+            )
+            for job in jobs
         ]
+        display = "" if file.root_display == "." else file.root_display
         shown = xacro_expand.DisplayPaths(file.root, display, {})
-        expanded = xacro_expand.expand(requests, shown, trust=self.trust)
-        for result in expanded:
-            self.sources.update(result.files)
-        return expanded
+        return xacro_expand.expand(requests, shown, trust=self.trust)
 
-    @property
-    def is_over(self) -> bool:
-        return time.monotonic() > self.end
+    def skip(self, file: RobotFile, reason: str, span: Span | None = None) -> None:
+        skip(file.display, reason, self.report, span)
+        self.evidence.incomplete.append(file.display)
 
-    def read(self, files: Sequence[tuple[RobotFile, bytes]]) -> None:
-        for _, group in itertools.groupby(files, lambda entry: entry[0].root):
-            entries = list(group)
-            if self.is_over:
-                for file, _ in entries:
-                    text = "the expansion of the other files took too long"
-                    skip(file.display, text, self.report)
-                    self.evidence.incomplete.append(file.display)
-                continue
-            paths = [file.path for file, _ in entries]
-            results = self.expand(entries[0][0], paths, [{}] * len(paths))
-            for (file, data), result in zip(entries, results, strict=True):
-                self.read_result(file, data, result)
-
-    def read_result(self, file: RobotFile, data: bytes, result: ExpandedFile) -> None:
-        """Adds the description with the default arguments, and those with other flags.
+    def read(self, job: _Job, result: ExpandedFile, folder: Path) -> list[_Job]:
+        """Adds the description in an expanded file, and returns what else to expand.
 
         A flag, such as the choice between a simulated and a real robot, decides on parts of a file;
-        each part is read in one of the descriptions.
+        each part is read in one of the descriptions.  An argument without a default becomes true.
+        A file can define its robot as a macro of its own name without parameters.
         """
-        arguments: dict[str, str] = {}
-        while (
-            result.failure is not None
-            and result.failure.kind == "argument"
-            and len(arguments) < MAX_MISSING_ARGUMENTS
-            and not self.is_over
-        ):
-            name = result.failure.text.split()[-1].strip("`'\"")
-            if name in arguments or not re.fullmatch(r"[\w-]+", name):
-                break
-            arguments[name] = "true"
-            (result,) = self.expand(file, [file.path], [arguments])
-        if result.failure is not None:
-            failure = result.failure
+        file, failure, stem = job.file, result.failure, job.file.path.name.partition(".")[0]
+        if failure is not None and (job.is_variant or file.path in self.included):
+            return []
+        if failure is not None:
+            name = failure.text.split()[-1].strip("`'\"") if failure.kind == "argument" else ""
+            is_new = name not in job.arguments and re.fullmatch(r"[\w-]+", name)
+            if is_new and len(job.arguments) < MAX_MISSING_ARGUMENTS:
+                return [job._replace(arguments={**job.arguments, name: "true"})]
             reason = _REASONS.get(failure.kind, "{}").format(failure.text)
-            skip(file.display, reason, self.report, failure.span)
-            self.evidence.incomplete.append(file.display)
-            return
-        if self.add_description(file, result, self.report):
-            self.read_variants(file, data, arguments, result)
-        else:
-            self.read_macros(file, result)
-
-    def read_variants(
-        self, file: RobotFile, data: bytes, arguments: dict[str, str], result: ExpandedFile
-    ) -> None:
-        flags = {name.decode(): value.lower() == b"true" for name, value in _FLAG.findall(data)}
-        flags |= dict.fromkeys(arguments, True)
-        known = [(name, value) for name, value in flags.items() if name in result.known_arguments]
-        variants = [
-            {**arguments, name: "false" if value else "true"}
-            for name, value in itertools.islice(known, MAX_VARIANTS)
-        ]
-        if not variants or self.is_over:
-            return
-        for other in self.expand(file, [file.path] * len(variants), variants):
-            if other.failure is None and other.elements != result.elements:
-                self.add_description(file, other, Report())
-
-    def read_macros(self, file: RobotFile, result: ExpandedFile) -> None:
-        """Adds the robot that a file defines as a macro of its own name without parameters."""
-        stem = file.path.name.partition(".")[0]
-        macros = [m for m in result.macros if m.name == stem and not m.required]
-        if not macros or self.is_over:
-            return
-        with tempfile.TemporaryDirectory() as folder:
-            caller = Path(folder, "caller.urdf.xacro")
-            caller.write_text(
-                f'<robot name="{stem}" xmlns:xacro="http://www.ros.org/wiki/xacro">'
-                f"<xacro:include filename={quoteattr(str(file.path))}/><xacro:{stem}/></robot>",
-                encoding="utf-8",
-            )
-            (expanded,) = self.expand(file, [caller], [{}])
-        if expanded.failure is None:
-            self.add_description(file, expanded, self.report)
+            self.skip(file, reason, failure.span)
+            return []
+        if self.add_description(file, result, Report() if job.is_variant else self.report):
+            flags = {n.decode(): v.lower() == b"true" for n, v in _FLAG.findall(job.data)}
+            flags |= dict.fromkeys(job.arguments, True)
+            known = [name for name in flags if name in result.known_arguments][:MAX_VARIANTS]
+            return [
+                job._replace(
+                    arguments={**job.arguments, name: str(not flags[name]).lower()}, is_variant=True
+                )
+                for name in (known if not job.is_variant else ())
+            ]
+        if job.path != file.path or not any(
+            m.name == stem and not m.required for m in result.macros
+        ):
+            return []
+        caller = folder / f"{len(list(folder.iterdir()))}.urdf.xacro"
+        caller.write_text(
+            f'<robot name="{stem}" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+            f"<xacro:include filename={quoteattr(str(file.path))}/><xacro:{stem}/></robot>",
+            encoding="utf-8",
+        )
+        return [job._replace(path=caller)]
 
     def add_description(self, file: RobotFile, result: ExpandedFile, report: Report) -> bool:
         """Adds the robot in the elements of a file, and returns whether there is one."""
@@ -468,9 +449,10 @@ class _Expansion:
         descriptions.read_description(robot, result.elements, diagnostics)
         descriptions.check_tree(robot, diagnostics)
         if diagnostics.has_errors and file.path in self.included:
-            return True  # it is a part of the robot that includes it
+            return False  # it is a part of the robot that includes it
         report.extend(diagnostics)
-        self.evidence.descriptions += [robot] if robot.links else []
+        if robot.links and robot not in self.evidence.descriptions:
+            self.evidence.descriptions.append(robot)
         return bool(robot.links)
 
 
