@@ -108,6 +108,35 @@ def test_an_include_passes_its_name_space(launch: Path) -> None:
     assert [code for code, _, _ in findings("cart")] == ["audit-state-publishers"]
 
 
+ODD = {
+    "a.sdf": """<sdf><model name="x"><link name="a"><inertial><mass>x</mass><inertia><tag>1</tag>
+<self>2</self></inertia></inertial><collision><geometry><mesh><tag>1</tag></mesh></geometry>
+</collision></link><joint name="j" type="screw"><parent>a</parent><child>a</child></joint></model>
+</sdf>""",
+    "a.xml": """<mujoco><compiler eulerseq="abq"/><worldbody><body euler="1 2 3" quat="0 0 0 0">
+<joint type="ball"/><inertial mass="1" diaginertia="1 2"/><geom fromto="0 0 0 0 0 0" size="1"/>
+<body><geom size="x"/></body></body></worldbody></mujoco>""",
+    "a.urdf": """<robot name="u"><link name="a"/><link name="b"/><link/><joint/>
+<joint name="j" type="revolute"><parent link="a"/><child link="b"/><limit lower="1"/></joint>
+<joint name="k" type="planar"><parent link="b"/><child link="a"/></joint></robot>""",
+    "a.launch.py": python(
+        "[GroupAction(), GroupAction(**k), PushRosNamespace(), IncludeLaunchDescription(), join(),"
+        " Node(parameters=[{**q, 1: -x}, *z], remappings=[('a',), x]), LaunchConfiguration(),"
+        " PathJoinSubstitution(), IncludeLaunchDescription(x, launch_arguments=[('a', 'b')])]"
+    ),
+    "a.yaml": 'c_costmap: {ros__parameters: {footprint: "[[1, 2], [3], {}]"}}\n? [a, b]\n: 1\n',
+}
+
+
+def test_odd_files_are_read_as_far_as_they_can_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, text in ODD.items():
+        Path(name).write_text(text, encoding="utf-8")
+    assert findings(".") == []
+
+
 FRAGMENT = """<robot name="imu"><link name="imu_link"/><joint name="imu_joint" type="fixed">
 <parent link="top"/><child link="imu_link"/></joint></robot>"""
 

@@ -93,13 +93,13 @@ def check_inertia(description: Description, link: Link, report: Report) -> None:
         )
         return
     reach = _reach(description, link)
-    if reach is not None and high > body.mass * reach**2:
+    if reach is not None and high > body.mass * reach * reach:
         description.report(
             report,
             "audit-inertia-size",
             f"link `{link.name}` has a moment of inertia of {high:.4g} kg m^2, but its"
             f" {body.mass:g} kg within {plain(reach, 3)} m can have at most"
-            f" {body.mass * reach**2:.4g} kg m^2",
+            f" {body.mass * reach * reach:.4g} kg m^2",
             link,
             "inertia",
             "the unit is kg m^2, about the centre of mass; kg mm^2 are 1e-6 of that",
@@ -115,14 +115,17 @@ class _Measures(NamedTuple):
 
 
 def measures(shape: Shape) -> _Measures | None:
-    """Returns the measures of a shape, or ``None`` for a mesh."""
+    """Returns the measures of a shape, or ``None`` for a mesh.
+
+    Powers of very large numbers would raise ``OverflowError``; products are infinite.
+    """
     match shape:
         case Box((x, y, z)):
             return _Measures(math.hypot(x, y, z) / 2.0, max(x, y, z), x * y * z)
         case Cylinder(r, h):
-            return _Measures(math.hypot(r, h / 2.0), max(2.0 * r, h), math.pi * r**2 * h)
+            return _Measures(math.hypot(r, h / 2.0), max(2.0 * r, h), math.pi * r * r * h)
         case Sphere(r):
-            return _Measures(r, 2.0 * r, 4.0 / 3.0 * math.pi * r**3)
+            return _Measures(r, 2.0 * r, 4.0 / 3.0 * math.pi * r * r * r)
     return None
 
 

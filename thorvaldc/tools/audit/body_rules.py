@@ -149,17 +149,11 @@ def footprint_of(section: facts.ParameterSection) -> facts.Fact | None:
 
 def _polygon(text: str) -> tuple[Point, ...] | None:
     try:
-        points = read_json(text)
-    except ValueError:
+        points = tuple((float(x), float(y)) for x, y in read_json(text))
+    except (TypeError, ValueError):
         return None
-    if not isinstance(points, list) or len(points) < 3:
-        return None
-    for point in points:
-        if not isinstance(point, list) or len(point) != 2:
-            return None
-        if not all(isinstance(v, int | float) and abs(v) < 1e6 for v in point):
-            return None
-    return tuple((float(x), float(y)) for x, y in points)
+    is_plain = all(abs(value) < 1e6 for point in points for value in point)
+    return points if is_plain and len(points) >= 3 else None
 
 
 def check_footprints_agree(evidence: facts.Evidence, report: Report) -> None:

@@ -158,7 +158,7 @@ class UrdfElements:
     def __init__(self, source: Element) -> None:
         self.source = source
 
-    def element(self, tag: str, *children: Element | None, **attributes: str) -> Element:
+    def element(self, tag: str, /, *children: Element | None, **attributes: str) -> Element:
         inner = tuple(child for child in children if child is not None)
         return Element(tag, attributes, inner, "", self.source.span, (), self.source.file)
 

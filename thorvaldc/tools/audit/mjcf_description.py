@@ -98,7 +98,9 @@ class _Reader:
         rotation = (1.0, 0.0, 0.0, 0.0)
         euler = numbers(attributes.get("euler"), 3) or ()
         for letter, value in zip(self.sequence, euler, strict=False):
-            turn = spatial.quat_from_axis_angle(_AXES[letter.lower()], value * self.angle)
+            turn = spatial.quat_from_axis_angle(
+                _AXES.get(letter.lower(), (1.0, 0.0, 0.0)), value * self.angle
+            )
             # Small letters are axes that turn with the frame.
             pair = (rotation, turn) if letter.islower() else (turn, rotation)
             rotation = spatial.quat_multiply(*pair)
