@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Collection
-from typing import NamedTuple
 
 from thorvaldc.compiler.descriptions.description import Description
+from thorvaldc.compiler.shapes.solids import measures
 from thorvaldc.diagnostics import Label, Report, Span, plain
-from thorvaldc.model import Box, Cylinder, Joint, Link, Shape, Sphere
+from thorvaldc.model import Cylinder, Joint, Link, Sphere
 
 # Rounded inertias of thin bodies may break the triangle inequality a little in files of others.
 TOLERANCE = {"robot": 1e-6, "extra": 1e-6, "file": 0.01}
@@ -104,29 +104,6 @@ def check_inertia(description: Description, link: Link, report: Report) -> None:
             "inertia",
             "the unit is kg m^2, about the centre of mass; kg mm^2 are 1e-6 of that",
         )
-
-
-class _Measures(NamedTuple):
-    """Half diagonal (m), longest edge (m) and volume (m^3) of a shape."""
-
-    half_diagonal: float
-    length: float
-    volume: float
-
-
-def measures(shape: Shape) -> _Measures | None:
-    """Returns the measures of a shape, or ``None`` for a mesh.
-
-    Powers of very large numbers would raise ``OverflowError``; products are infinite.
-    """
-    match shape:
-        case Box((x, y, z)):
-            return _Measures(math.hypot(x, y, z) / 2.0, max(x, y, z), x * y * z)
-        case Cylinder(r, h):
-            return _Measures(math.hypot(r, h / 2.0), max(2.0 * r, h), math.pi * r * r * h)
-        case Sphere(r):
-            return _Measures(r, 2.0 * r, 4.0 / 3.0 * math.pi * r * r * r)
-    return None
 
 
 def _reach(description: Description, link: Link) -> float | None:

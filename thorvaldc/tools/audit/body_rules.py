@@ -11,12 +11,9 @@ from typing import NamedTuple
 from urllib.parse import unquote
 
 from thorvaldc.compiler.descriptions.description import PlacedShape
-from thorvaldc.compiler.descriptions.description_rules import (
-    MAX_LENGTH,
-    check_description,
-    measures,
-)
+from thorvaldc.compiler.descriptions.description_rules import MAX_LENGTH, check_description
 from thorvaldc.compiler.shapes.meshes import load_mesh, shared_mesh_workers
+from thorvaldc.compiler.shapes.solids import measures
 from thorvaldc.diagnostics import Label, Report, Span, plain
 from thorvaldc.diagnostics.files import read_json
 from thorvaldc.model import Box, Cylinder, Joint, MeshShape, Pose, Sphere, Vec3
