@@ -60,7 +60,7 @@ modules:
   fr: {type: assembly/steered_drive, mount: frame.front_right, can: 1}
   rl: {type: assembly/steered_drive, mount: frame.rear_left, can: 2}
   rr: {type: assembly/steered_drive, mount: frame.rear_right, can: 3}
-  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0.285, 0.07]}}
+  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0.397, 0.07]}}
 design: {minimum_tip_over_angle: 80 deg}
 """,
         encoding="utf-8",
@@ -78,7 +78,7 @@ name: cart
   fr: {{type: assembly/steered_drive, mount: frame.front_right}}
   rl: {{type: assembly/steered_drive, mount: frame.rear_left}}
   rr: {{type: assembly/steered_drive, {rr}}}
-  battery: {{type: battery/enclosure, mount: {{parent: frame, xyz: [0, 0.285, 0.07]}}}}
+  battery: {{type: battery/enclosure, mount: {{parent: frame, xyz: [0, 0.397, 0.07]}}}}
 """
 
 

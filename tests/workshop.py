@@ -203,7 +203,7 @@ class Workshop:
 
 
 # Warnings of every cart with fixed wheels, without controllers, motors or battery, and of parts
-# without mass.
+# without mass, or with the round masses, sizes and places of examples.
 EXPECTED = (
     "robot-without-controller",
     "motor-without-controller",
@@ -211,6 +211,10 @@ EXPECTED = (
     "no-drive",
     "battery-missing",
     "module-massless",
+    "audit-density",
+    "audit-inertia-size",
+    "parts-overlap",
+    "part-loose",
 )
 
 

@@ -22,7 +22,7 @@ modules:
   fr: {type: assembly/steered_drive, mount: frame.front_right, can: 2}
   rl: {type: assembly/steered_drive, mount: frame.rear_left, can: 3}
   rr: {type: assembly/steered_drive, mount: frame.rear_right, can: 4}
-  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0.285, 0.07]}, can: 1}
+  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0.397, 0.07]}, can: 1}
 """
 SLOW = "driver: {rate: 5 Hz, command_timeout: 2 s}\n"
 """For runs in real time: with a slow control cycle, a busy computer is no drive that is silent."""

@@ -10,6 +10,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 
+from thorvaldc.compiler.descriptions.description import Description
+from thorvaldc.compiler.descriptions.description_rules import check_description
 from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.compiler.room_checks import check_room
 from thorvaldc.compiler.source.node import Node
@@ -17,7 +19,7 @@ from thorvaldc.diagnostics import Label, Report, millimetres, plain
 from thorvaldc.model import Joint, Robot, Vec3, Wheel
 from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.model.statics import mobility
-from thorvaldc.model.statics.joint_tree import tree_of
+from thorvaldc.model.statics.joint_tree import OF_EXTRA, tree_of
 from thorvaldc.model.statics.slope import SlopeStatics, holds_without_torque, standing_slopes
 from thorvaldc.model.statics.standing import Standing, standing_of
 from thorvaldc.model.statics.tip_over import outer_points, pulls_out, support_of
@@ -34,8 +36,7 @@ SMALLEST_SIZE, LARGEST_SIZE = 0.1, 20.0
 def check_robot(robot: Robot, design: DesignRequirements, report: Report) -> None:
     """Runs all geometry checks of a robot model and adds the diagnostics to the report."""
     check_size(robot, report)
-    check_masses(robot, report)
-    check_inertias(robot, report)
+    check_bodies(robot, report)
     check_wheels_present(robot, report)
     if robot.wheels:
         check_wheels_on_ground(robot, report)
@@ -73,53 +74,13 @@ def _extent(points: Iterable[Vec3]) -> float:
     return max((max(v) - min(v) for v in zip(*points, strict=True)), default=0.0)
 
 
-def check_masses(robot: Robot, report: Report) -> None:
-    """Checks that each moving link has a mass, which the physics simulation needs.
-
-    The mass of a moving link includes the links that are fixed to the moving link.
-    """
-    masses = {link.name: link.inertial.mass if link.inertial else 0.0 for link in robot.links}
-    fixed_children: dict[str, list[str]] = {}
-    for joint in robot.joints:
-        if joint.type == "fixed":
-            fixed_children.setdefault(joint.parent, []).append(joint.child)
-    for joint in robot.joints:
-        if joint.type == "fixed":
-            continue
-        moved_mass, stack = 0.0, [joint.child]
-        while stack:
-            name = stack.pop()
-            moved_mass += masses[name]
-            stack.extend(fixed_children.get(name, ()))
-        if moved_mass <= 0.0:
-            report.add(
-                "link-massless",
-                f"link `{joint.child}` moves on joint `{joint.name}` and has no mass",
-                robot.link(joint.child).span,
-                hint="give one of its parts a `mass`",
-            )
-    if float_sum(masses.values()) <= 0.0:
+def check_bodies(robot: Robot, report: Report) -> None:
+    """Judges the links and joints of the modules; those of extras are judged as they are read."""
+    description = Description.of(robot.links, robot.joints, "robot", {})
+    modules = [link.name for link in robot.links if not link.module.startswith(OF_EXTRA)]
+    check_description(description, report, modules)
+    if float_sum(link.inertial.mass for link in robot.links if link.inertial) <= 0.0:
         report.add("link-massless", "the robot has no mass", robot.span)
-
-
-def check_inertias(robot: Robot, report: Report) -> None:
-    """Checks that a real body can have the inertia of each link.
-
-    The principal moments of inertia of a real body are positive and satisfy the triangle
-    inequality.
-    """
-    for link in robot.links:
-        if link.inertial is None or link.inertial.mass <= 0.0:
-            continue
-        low, middle, high = link.inertial.principal_moments()
-        if low <= 0.0 or high > (low + middle) * (1 + 1e-6):
-            report.add(
-                "inertia-impossible",
-                f"no body has the inertia of link `{link.name}`: principal moments "
-                f"{low:.4g}, {middle:.4g} and {high:.4g} kg m^2",
-                link.span,
-                hint="each must be positive and at most the sum of the other two",
-            )
 
 
 def check_wheels_present(robot: Robot, report: Report) -> None:

@@ -66,7 +66,7 @@ _FILES = {
 WHEELS = "wheels"
 """Folder of a new repository with the wheel of thorvaldc that CI installs."""
 _MODELINE = "# yaml-language-server: $schema=robot.schema.json\n"
-_PLATE = "  plate: {type: top/plate, mount: {parent: frame, xyz: [0, 0, 300 mm]}}\n"
+_PLATE = "  plate: {type: top/plate, mount: {parent: frame, xyz: [0, 0, 310 mm]}}\n"
 
 
 def robot_files(name: str, preset: str) -> dict[str, str]:

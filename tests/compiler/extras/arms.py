@@ -82,7 +82,7 @@ modules:
   fr: {type: assembly/steered_drive, mount: frame.front_right, can: 2}
   rl: {type: assembly/steered_drive, mount: frame.rear_left, can: 3}
   rr: {type: assembly/steered_drive, mount: frame.rear_right, can: 4}
-  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0.285, 0.07]}, can: 1}
+  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0.397, 0.07]}, can: 1}
 extras:
   - {xacro: arm.xacro, parent: frame, xyz: [0, 0, 0.1]}
 """

@@ -100,7 +100,7 @@ from tests.slow import one_quick_of
                 4,
                 "0 m",
             ),
-            (link_with(inertia("-1")), "extra-inertia", 4, '"-1">: value must be at least 0 kg'),
+            (link_with(inertia("-1")), "extra-inertia", 4, "must be at least 0 kg"),
             (link_with(inertia("1", izz="2.1")), "extra-inertia", 5, "2.1"),
             (link_with(inertia("1", ixy="1.5")), "extra-inertia", 5, "negative"),
             (link_with(inertia("0")), "extra-inertia", 4, "no mass"),

@@ -115,7 +115,7 @@ SENSOR = (
     <inertial>
       <origin xyz="0 0 0.1" rpy="0 0 ${pi/2}"/>
       <mass value="0.5"/>
-      <inertia ixx="0.1" iyy="0.2" izz="0.2" ixy="0" ixz="0" iyz="0"/>
+      <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/>
     </inertial>
   </link>
   <gazebo reference="${name}"><sensor type="ray" name="${name}"><!-- c --></sensor></gazebo>

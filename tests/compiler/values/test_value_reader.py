@@ -18,7 +18,7 @@ modules:
   fr: {type: assembly/steered_drive, mount: frame.front_right}
   rl: {type: assembly/steered_drive, mount: frame.rear_left}
   rr: {type: assembly/steered_drive, mount: frame.rear_right}
-  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 285 mm, 70 mm]}}
+  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 397 mm, 70 mm]}}
 driver: {max_linear_velocity: 1, command_timeout: 500}
 """
 

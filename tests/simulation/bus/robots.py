@@ -38,7 +38,7 @@ modules:
   rr: {type: assembly/steered_drive, mount: frame.rear_right, params: *p,
     can: {id: 4, serial: "0x104"}}
   board: {type: io/board, params: {relay_1_at_start: true}, can: 32}
-  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0.285, 0.07]}, can: 1}
+  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0.397, 0.07]}, can: 1}
 """
 
 

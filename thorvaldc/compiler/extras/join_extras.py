@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
+from thorvaldc.compiler.descriptions.description import Places
 from thorvaldc.compiler.extras.urdf_reader import UrdfParts
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.compiler.hardware.hardware_reader import Hardware
@@ -140,6 +141,7 @@ class ExtrasJoiner:
         self.extensions: list[str] = []
         self.stated_servos: list[JointServo] = []
         self.controls: list[Element] = []
+        self.places: Places = {}
 
     def add(self, entry: Placement, parts: UrdfParts) -> None:
         """Checks the links and joints of one xacro file, and connects them to the robot.
@@ -183,7 +185,7 @@ class ExtrasJoiner:
         # to a closed loop.
         if unreached and len(mounts) == len(roots):
             self.report_cycle(unreached[0], joint_to)
-        self.check_masses(links, children)
+        self.places |= parts.places
 
     def without_world(self, entry: Placement, parts: UrdfParts) -> tuple[UrdfParts, bool]:
         """Returns the parts without an empty root link ``world``, and whether there was one.
@@ -373,29 +375,6 @@ class ExtrasJoiner:
             joint_to[path[0]].span,
             hint="remove one of these joints, or connect it to another link",
         )
-
-    def check_masses(self, links: Mapping[str, Link], children: Mapping[str, list[Joint]]) -> None:
-        """Checks that each moving link, with the links fixed to it, has a mass."""
-
-        def mass(name: str, visited: tuple[str, ...]) -> float:
-            inertial = links[name].inertial
-            total = inertial.mass if inertial is not None else 0.0
-            for joint in children.get(name, []):
-                if joint.type == "fixed" and joint.child not in visited:
-                    total += mass(joint.child, (*visited, joint.child))
-            return total
-
-        for joints in children.values():
-            for joint in joints:
-                if joint.type != "fixed" and mass(joint.child, (joint.child,)) <= 0.0:
-                    self.report.add(
-                        "extra-massless",
-                        f"link `{joint.child}` moves on joint `{joint.name}` and has no mass",
-                        links[joint.child].span,
-                        hint="give it an <inertial>, make the joint fixed, or state a `density` in "
-                        "the entry of the file",
-                        labels=[Label(joint.span, "the joint")],
-                    )
 
     def check_mimics(self) -> None:
         """Checks that the leader joint of each mimic joint exists.

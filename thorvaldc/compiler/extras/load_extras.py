@@ -13,6 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from thorvaldc.compiler.descriptions.description import Description
+from thorvaldc.compiler.descriptions.description_rules import check_description
 from thorvaldc.compiler.extras import join_extras, xacro_expand
 from thorvaldc.compiler.extras.ros2_controls import check_controls, servos_of
 from thorvaldc.compiler.extras.urdf_elements import call_labels
@@ -29,7 +31,7 @@ from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import ValueReader, items
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.diagnostics.report import grouped
-from thorvaldc.model import Mesh, Vec3
+from thorvaldc.model import Link, Mesh, Vec3
 from thorvaldc.schema import inlined
 
 
@@ -117,16 +119,24 @@ def load_extras(
             arguments = expanded_file.known_arguments
             joiner.add(replace(entry.placement, arguments=arguments), parts)
     joiner.check_mimics()
+    new = Description.of(joiner.new_links, joiner.new_joints, "extra", joiner.places)
+    check_description(new, diagnostics)
     check_controls(joiner.controls, joiner.new_joints, joints, diagnostics)
     servos = servos_of(joiner.stated_servos, joiner.new_joints, diagnostics)
     report.extend(grouped(diagnostics))
     return RobotParts(
-        links=tuple(joiner.new_links),
+        links=tuple(map(_without_zero_mass, joiner.new_links)),
         joints=tuple(joiner.new_joints),
         joint_servos=servos,
         meshes=tuple(joiner.meshes.values()),
         urdf_extensions=tuple(joiner.extensions),
     )
+
+
+def _without_zero_mass(link: Link) -> Link:
+    """Returns a link whose stated mass of 0 is left out, as of a frame."""
+    has_mass = link.inertial is not None and link.inertial.mass > 0.0
+    return link if has_mass else replace(link, inertial=None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,6 @@ EXTENSIONS = ("gazebo", "transmission", "ros2_control", "sensor")
 
 _Range = tuple[Callable[[float], bool], str]
 _LENGTH: _Range = (lambda value: value > 0.0, "must be greater than 0 m")
-_MASS: _Range = (lambda value: value >= 0.0, "must be at least 0 kg")
 _NOT_NEGATIVE: _Range = (lambda value: value >= 0.0, "must not be negative")
 _NOT_ZERO: _Range = (lambda value: value != 0.0, "must not be 0")
 _FRACTION: _Range = (lambda value: 0.0 <= value <= 1.0, "must be between 0 and 1")
@@ -70,7 +69,7 @@ ELEMENTS: dict[str, _Content] = {
     "visual": _Content(("origin", "geometry", "material"), ("name",)),
     "collision": _Content(("origin", "geometry"), ("name",), ignored=("contact_coefficients",)),
     "origin": _Content(numbers={"xyz": _Numbers(3, "0 0 0"), "rpy": _Numbers(3, "0 0 0")}),
-    "mass": _Content(numbers={"value": _Numbers(range=_MASS, range_code="extra-inertia")}),
+    "mass": _Content(numbers={"value": _REQUIRED}),
     "inertia": _Content(
         numbers={
             **dict.fromkeys(("ixx", "iyy", "izz"), _REQUIRED),
@@ -171,6 +170,12 @@ class ElementReader:
 
         The value of a URDF attribute is a float, or a tuple of floats for several numbers.
         """
+        values = self.valid_numbers(element, names)
+        attributes = ELEMENTS[element.tag].numbers if names is None else names
+        return values if len(values) == len(attributes) else None
+
+    def valid_numbers(self, element: Element, names: Sequence[str] | None = None) -> dict[str, Any]:
+        """Returns the values of ``numbers`` that have no error."""
         self.check_content(element)
         attributes = ELEMENTS[element.tag].numbers
         values: dict[str, Any] = {}
@@ -178,7 +183,7 @@ class ElementReader:
             numbers = self.attribute_numbers(element, name, attributes[name])
             if numbers is not None:
                 values[name] = numbers if len(numbers) > 1 else numbers[0]
-        return values if len(values) == len(attributes if names is None else names) else None
+        return values
 
     def attribute_numbers(
         self, element: Element, name: str, attribute: _Numbers

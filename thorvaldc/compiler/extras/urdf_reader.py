@@ -7,12 +7,18 @@ shows the line of the element in the xacro file.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from thorvaldc import model
+from thorvaldc.compiler.descriptions.description import Place, Places
 from thorvaldc.compiler.extras.ros2_controls import stated_servos
-from thorvaldc.compiler.extras.urdf_elements import ELEMENTS, EXTENSIONS, ElementReader
+from thorvaldc.compiler.extras.urdf_elements import (
+    ELEMENTS,
+    EXTENSIONS,
+    ElementReader,
+    call_labels,
+)
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.compiler.shapes.solids import solid_of_shapes
 from thorvaldc.diagnostics import Report
@@ -47,7 +53,7 @@ class UrdfParts:
     """The links, joints, meshes and URDF extensions of one xacro file, in the order of the file.
 
     ``servos`` are the servos that the URDF extensions state, ``controls`` the ``<ros2_control>``
-    elements among them.
+    elements among them.  ``places`` are those of the values of the links and joints.
     """
 
     links: tuple[model.Link, ...]
@@ -56,6 +62,7 @@ class UrdfParts:
     extensions: tuple[str, ...]
     servos: tuple[model.JointServo, ...] = ()
     controls: tuple[Element, ...] = ()
+    places: Places = field(default_factory=dict)
 
 
 def read_urdf(
@@ -75,6 +82,8 @@ def read_urdf(
     - ``report``: report that receives the errors.
     - ``macros``: names of the xacro macros in the file, for hints about elements without prefix.
     - ``density``: density in kg/m^3 of links without ``<inertial>``, or ``None``.
+
+    Of an element with an error, the valid part is returned.
     """
     return _Reader(module, load_mesh, report, macros, density).read(elements)
 
@@ -96,6 +105,7 @@ class _Reader(ElementReader):
         self.density = density
         self.materials: dict[str, RGBA] = {}
         self.meshes: dict[str, model.Mesh] = {}
+        self.places: Places = {}
 
     def read(self, elements: Sequence[Element]) -> UrdfParts:
         links: list[model.Link | None] = []
@@ -119,7 +129,11 @@ class _Reader(ElementReader):
             tuple(element.xml for element in extensions),
             tuple(stated_servos(extensions)),
             tuple(element for element in extensions if element.tag == "ros2_control"),
+            self.places,
         )
+
+    def keep_place(self, part: str, value: str, element: Element) -> None:
+        self.places[part, value] = Place(element.span, call_labels(element))
 
     def pose(self, owner: Element) -> model.Pose:
         origin = owner.find("origin")
@@ -131,7 +145,7 @@ class _Reader(ElementReader):
     # -- links -------------------------------------------------------------------
 
     def link(self, element: Element) -> model.Link | None:
-        name = self.text(element, "name")
+        name = self.text(element, "name") or ""
         self.check_content(element)
         visuals: list[model.Visual] = []
         collisions: list[model.Collision] = []
@@ -141,6 +155,8 @@ class _Reader(ElementReader):
                 self.check_content(child)
                 pose = self.pose(child)
                 shape = self.geometry(child)
+                number = len(visuals if child.tag == "visual" else collisions)
+                self.keep_place(name, f"{child.tag} {number}", _shape_of(child))
                 color = self.color(child)
                 if shape is None:
                     unread += [(pose, color)] if child.tag == "visual" else []
@@ -148,13 +164,13 @@ class _Reader(ElementReader):
                     visuals.append(model.Visual(shape, pose, color))
                 else:
                     collisions.append(model.Collision(shape, pose))
-        inertial = self.inertial(element, name or "", visuals, collisions)
+        inertial = self.inertial(element, name, visuals, collisions)
         if unread and collisions:
             visuals += [model.Visual(c.shape, c.pose, unread[0][1]) for c in collisions]
         elif unread:
             box = model.Box((_PLACEHOLDER, _PLACEHOLDER, _PLACEHOLDER))
             visuals += [model.Visual(box, pose, color) for pose, color in unread]
-        if name is None:
+        if not name:
             return None
         return model.Link(
             name, self.module, inertial, tuple(visuals), tuple(collisions), element.span
@@ -183,36 +199,23 @@ class _Reader(ElementReader):
         if mass_element is None:
             self.add("extra-element", f"<inertial> of link `{link}` has no <mass>", element)
             return None
-        mass = self.numbers(mass_element)
+        values = self.numbers(mass_element)
+        if values is None:
+            return None
+        mass = values["value"]
+        self.keep_place(link, "mass", mass_element)
         if inertia_element is None:
-            if mass is None or mass["value"] <= 0.0:
-                return None
-            body = self.computed_inertial(element, link, visuals, collisions, mass["value"])
+            if mass <= 0.0:
+                return model.Inertial(mass, pose.xyz, (0.0,) * 6)
+            body = self.computed_inertial(element, link, visuals, collisions, mass)
             stated_com = body is not None and element.find("origin") is not None
             return replace(body, com=pose.xyz).clean() if body and stated_com else body
+        self.keep_place(link, "inertia", inertia_element)
         entries = self.numbers(inertia_element)
-        if mass is None or entries is None:
+        if entries is None:
             return None
         tensor = tuple(entries[name] for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
-        inertial = model.Inertial(mass["value"], (0.0, 0.0, 0.0), tensor)
-        low, middle, high = inertial.principal_moments()
-        tolerance = 1e-6 * high + 1e-12
-        if inertial.mass == 0.0 and high > tolerance:
-            self.add("extra-inertia", f"link `{link}` has an inertia but no mass", mass_element)
-            return None
-        # The principal moments of inertia of a rigid body are not negative.  The largest principal
-        # moment of inertia is at most the sum of the other two (triangle inequality).
-        if low < -tolerance or high > low + middle + tolerance:
-            reason = "one is negative" if low < -tolerance else "one exceeds the sum of the others"
-            moments = ", ".join(f"{moment:.4g}" for moment in (low, middle, high))
-            self.add(
-                "extra-inertia",
-                f"link `{link}` has principal moments of inertia {moments} kg m^2: {reason}",
-                inertia_element,
-                "compute them from the shape; for a box: ixx = m (y^2 + z^2) / 12",
-            )
-            return None
-        return inertial.transformed(pose).clean() if inertial.mass > 0.0 else None
+        return model.Inertial(mass, (0.0, 0.0, 0.0), tensor).transformed(pose).clean()
 
     def computed_inertial(
         self,
@@ -354,17 +357,13 @@ class _Reader(ElementReader):
                 "use fixed, revolute, continuous or prismatic; build a floating or planar joint "
                 "from several joints",
             )
-            return None
         parent, child = (self.connected_link(element, tag) for tag in ("parent", "child"))
         pose = self.pose(element)
         if name is None or parent is None or child is None:
             return None
-        if kind == "fixed":
+        if kind not in ("revolute", "continuous", "prismatic"):
             return model.Joint(name, self.module, kind, parent, child, pose, element.span)
         limits = self.limits(element, kind, name)
-        axis = self.axis(element, name)
-        if limits is None or axis is None:
-            return None
         dynamics = element.find("dynamics")
         losses = (self.numbers(dynamics) if dynamics is not None else None) or {}
         return model.Joint(
@@ -375,7 +374,7 @@ class _Reader(ElementReader):
             child,
             pose,
             element.span,
-            axis=axis,
+            axis=self.axis(element, name),
             lower=limits.get("lower"),
             upper=limits.get("upper"),
             effort=limits.get("effort"),
@@ -394,20 +393,18 @@ class _Reader(ElementReader):
         self.check_content(element)
         return self.text(element, "link")
 
-    def axis(self, joint: Element, name: str) -> model.Vec3 | None:
+    def axis(self, joint: Element, name: str) -> model.Vec3:
         element = joint.find("axis")
-        if element is None:
+        values = self.numbers(element) if element is not None else None
+        if element is None or values is None:
             return (1.0, 0.0, 0.0)  # default axis of a joint in URDF
-        values = self.numbers(element)
-        if values is None:
-            return None
         length = norm(values["xyz"])
         if length < 1e-9:
             self.add("extra-number", f"joint `{name}` has an axis of length 0", element)
-            return None
+            return (1.0, 0.0, 0.0)
         return clean3(scale(1.0 / length, values["xyz"]))
 
-    def limits(self, joint: Element, kind: str, name: str) -> dict[str, float] | None:
+    def limits(self, joint: Element, kind: str, name: str) -> dict[str, float]:
         """Returns the limits of a URDF joint by the names of the attributes of ``<limit>``.
 
         - ``kind``: type of the joint, such as ``revolute``.  A URDF joint of the type
@@ -417,9 +414,7 @@ class _Reader(ElementReader):
         if kind == "continuous":
             if element is None:
                 return {}
-            names = [name for name in ("effort", "velocity") if name in element.attributes]
-            limits: dict[str, float] | None = self.numbers(element, names)
-            return limits
+            return self.stated_limits(element, name, ("effort", "velocity"))
         if element is None:
             self.add(
                 "extra-joint-limits",
@@ -427,13 +422,21 @@ class _Reader(ElementReader):
                 joint,
                 'add <limit lower="" upper="" effort="" velocity=""/>, or use the type continuous',
             )
-            return None
-        limits = self.numbers(element)
-        if limits is not None and limits["lower"] > limits["upper"]:
+            return {}
+        limits = self.stated_limits(element, name)
+        lower, upper = limits.get("lower", 0.0), limits.get("upper", 0.0)
+        if lower > upper:
             message = f"joint `{name}` has a lower limit above the upper limit"
-            shown = f"{limits['lower']:g} > {limits['upper']:g}"
-            self.add("extra-joint-limits", f"{message}: {shown}", element)
-            return None
+            self.add("extra-joint-limits", f"{message}: {lower:g} > {upper:g}", element)
+        return limits
+
+    def stated_limits(
+        self, limit: Element, joint: str, names: Sequence[str] = ()
+    ) -> dict[str, float]:
+        stated = [name for name in names if name in limit.attributes] if names else None
+        limits = self.valid_numbers(limit, stated)
+        for name in limits:
+            self.keep_place(joint, name, limit)
         return limits
 
     def mimic(self, joint: Element) -> model.Mimic | None:
@@ -445,3 +448,9 @@ class _Reader(ElementReader):
         if leader is None or values is None:
             return None
         return model.Mimic(leader, values["multiplier"], values["offset"])
+
+
+def _shape_of(owner: Element) -> Element:
+    """Returns the element of the shape of a ``<visual>`` or ``<collision>``."""
+    geometry = owner.find("geometry")
+    return geometry.children[0] if geometry is not None and geometry.children else owner

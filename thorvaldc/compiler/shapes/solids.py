@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 from thorvaldc.compiler.shapes.mesh_formats import indexed_triangles, is_closed
-from thorvaldc.model import Box, Cylinder, Inertial, Mesh, Pose, Shape, Sphere, Vec3
+from thorvaldc.model import Box, Cylinder, Inertial, Mesh, MeshShape, Pose, Shape, Sphere, Vec3
 from thorvaldc.model.spatial import combine
 
 
@@ -35,25 +36,44 @@ def uniform_solid(shape: Shape, mass: float, wall: float | None = None) -> Inert
     return Inertial(mass, (0.0, 0.0, 0.0), (ixx, iyy, izz, 0.0, 0.0, 0.0))
 
 
+class Measures(NamedTuple):
+    """Half diagonal (m), longest edge (m) and volume (m^3) of a shape."""
+
+    half_diagonal: float
+    length: float
+    volume: float
+
+
+def measures(shape: Shape) -> Measures | None:
+    """Returns the measures of a shape, or ``None`` for a mesh.
+
+    Powers of very large numbers would raise ``OverflowError``; products are infinite.
+    """
+    match shape:
+        case Box((x, y, z)):
+            return Measures(math.hypot(x, y, z) / 2.0, max(x, y, z), x * y * z)
+        case Cylinder(r, h):
+            return Measures(math.hypot(r, h / 2.0), max(2.0 * r, h), math.pi * (r * r) * h)
+        case Sphere(r):
+            return Measures(r, 2.0 * r, 4 / 3 * math.pi * (r * r * r))
+    return None
+
+
 def solid(shape: Shape, density: float, meshes: Mapping[str, Mesh]) -> Inertial | None:
     """Returns the mass and inertia of a shape of uniform density, in the frame of the shape.
 
-    Returns ``None`` for a mesh that is not closed, because it has no volume.
+    Returns ``None`` for a mesh that is not closed or not read, because it has no volume.
 
     Parameters
     ----------
     density : density in kg/m^3.
     meshes : meshes of the robot, by name.
     """
-    if isinstance(shape, Box):
-        volume = shape.size[0] * shape.size[1] * shape.size[2]
-    elif isinstance(shape, Cylinder):
-        volume = math.pi * shape.radius**2 * shape.length
-    elif isinstance(shape, Sphere):
-        volume = 4 / 3 * math.pi * shape.radius**3
-    else:
-        return _closed_mesh(meshes[shape.mesh], shape.scale, density)
-    return uniform_solid(shape, density * volume)
+    if isinstance(shape, MeshShape):
+        mesh = meshes[shape.mesh]
+        return _closed_mesh(mesh, shape.scale, density) if mesh.data else None
+    size = measures(shape)
+    return uniform_solid(shape, density * size.volume) if size is not None else None
 
 
 def solid_of_shapes(

@@ -226,7 +226,7 @@ class RigidGroups:
 
 _ON_AXIS = 1e-4  # m
 _VERTICAL = 1e-6
-_OF_EXTRA = "extras."
+OF_EXTRA = "extras."
 """Start of the module name of links and joints of extras, see ``compiler.extras``."""
 
 
@@ -333,7 +333,7 @@ def coordinates_of(
             groups[root.name].insert(0, member)
         else:
             groups[root.name].append(member)
-        if joint.name in immobile or joint.module.startswith(_OF_EXTRA):
+        if joint.name in immobile or joint.module.startswith(OF_EXTRA):
             stopped_groups.add(root.name)
     coordinates = []
     carried = {name for wheel in wheels for name in _joints_above(tree, wheel.link)}

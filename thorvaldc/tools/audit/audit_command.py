@@ -9,6 +9,8 @@ import typer
 
 from thorvaldc.cli import options
 
+MAX_SHOWN = 8  # folders that are left out
+
 
 def audit(
     names: Annotated[
@@ -32,5 +34,8 @@ def audit(
         count(len(evidence.sections), "section") + " of parameters",
         count(len(evidence.launches), "launch file"),
     ]
-    output.result(f"{', '.join(names)}: {', '.join(read)}")
+    left_out = result.left_out
+    more = [f"and {len(left_out) - MAX_SHOWN} more"] if len(left_out) > MAX_SHOWN else []
+    ignored = f"; left out: {', '.join([*left_out[:MAX_SHOWN], *more])}" if left_out else ""
+    output.result(f"{', '.join(names)}: {', '.join(read)}{ignored}")
     return output.finish(strict)

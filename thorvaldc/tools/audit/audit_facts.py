@@ -1,20 +1,21 @@
 """What the readers of the audit learn about a robot: values with the place where they stand.
 
-All values are in SI units.  The readers of URDF, SDF and MJCF return the same ``Description``.
+All values are in SI units.  The readers of URDF, SDF and MJCF return the same description.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from thorvaldc.compiler.descriptions.description import Description
 from thorvaldc.compiler.extras.xacro_rules import find_in_sources
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Span
-from thorvaldc.model import Pose, Vec3
+from thorvaldc.model import Joint
 
 
 class UnreadableFileError(Exception):
@@ -44,68 +45,11 @@ class Fact(NamedTuple):
     names: tuple[str, ...] = ()
 
 
-class SolidShape(NamedTuple):
-    """A shape of a body.
-
-    - ``kind``: box, cylinder, sphere, capsule, ellipsoid, mesh or plane.
-    - ``size``: edge lengths of a box; radius and length of a cylinder or capsule; radius of a
-      sphere; half axes of an ellipsoid; scale factors of a mesh.  In m.
-    - ``pose``: pose of the centre of the shape in the frame of the body.
-    - ``collides``: whether it is a collision shape; other shapes are for the eye.
-    - ``mesh``: name of the mesh file as written.
-    """
-
-    kind: str
-    size: tuple[float, ...]
-    pose: Pose
-    collides: bool
-    span: Span
-    mesh: str = ""
-
-
-@dataclass(slots=True)
-class Body:
-    """A link of a description.
-
-    - ``mass``: mass in kg, or ``None`` if the file does not state it.
-    - ``inertia``: ixx, iyy, izz, ixy, ixz, iyz in kg m^2, or ``None``.
-    """
-
-    name: str
-    span: Span
-    mass: float | None = None
-    mass_span: Span | None = None
-    inertia: tuple[float, ...] | None = None
-    inertia_span: Span | None = None
-    shapes: list[SolidShape] = field(default_factory=list)
-
-
-@dataclass(slots=True)
-class BodyJoint:
-    """A joint of a description; ``pose`` is the pose of the child in the frame of the parent.
-
-    - ``axis``: axis in the frame of the child; ``anchor``: a point on it.
-    - ``limits``: facts ``lower``, ``upper``, ``velocity`` and ``effort`` by name.
-    """
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    span: Span
-    pose: Pose = field(default_factory=Pose)
-    axis: Vec3 = (1.0, 0.0, 0.0)
-    anchor: Vec3 = (0.0, 0.0, 0.0)
-    limits: dict[str, Fact] = field(default_factory=dict)
-
-    @property
-    def turns(self) -> bool:
-        return self.kind in ("revolute", "continuous", "hinge")
-
-
-@dataclass(slots=True)
-class Description:
+@dataclass
+class FileDescription(Description):
     """A robot in URDF, SDF or MJCF.
+
+    The types of joints are those of URDF; joints of other types keep their own.
 
     - ``format``: URDF, SDF or MJCF.
     - ``file``: name of the file in messages; ``path``: its absolute path.
@@ -113,44 +57,33 @@ class Description:
     - ``facts``: statements of plug-ins and of ``<ros2_control>`` in the file.
     """
 
-    format: str
-    name: str
-    file: str
-    path: Path
-    bodies: dict[str, Body] = field(default_factory=dict)
-    joints: dict[str, BodyJoint] = field(default_factory=dict)
+    format: str = ""
+    name: str = ""
+    file: str = ""
+    path: Path = Path()
     frames: set[str] = field(default_factory=set)
     facts: list[Fact] = field(default_factory=list)
 
-    def root_poses(self) -> dict[str, Pose]:
-        """Returns the pose of each body in the frame of its root, with all joints at zero."""
-        children: dict[str, list[BodyJoint]] = {}
-        inner = set()
-        for joint in self.joints.values():
-            children.setdefault(joint.parent, []).append(joint)
-            inner.add(joint.child)
-        poses = {name: Pose() for name in self.bodies if name not in inner}
-        open_bodies = list(poses)
-        while open_bodies:
-            parent = open_bodies.pop()
-            for joint in children.get(parent, ()):
-                if joint.child not in poses:
-                    poses[joint.child] = poses[parent] * joint.pose
-                    open_bodies.append(joint.child)
-        return poses
+    def limit(self, joint: Joint, quantity: str) -> Fact | None:
+        """Returns the limit ``lower``, ``upper``, ``velocity`` or ``effort`` of a joint.
 
-    def rigid_part(self, body: str) -> Iterator[tuple[Body, Pose]]:
-        """Yields a body and the bodies that fixed joints attach to it, with their poses in it."""
-        poses = {body: Pose()}
-        open_bodies = [body]
-        while open_bodies:
-            name = open_bodies.pop()
-            if name in self.bodies:
-                yield self.bodies[name], poses[name]
-            for joint in self.joints.values():
-                if joint.parent == name and joint.kind == "fixed" and joint.child not in poses:
-                    poses[joint.child] = poses[name] * joint.pose
-                    open_bodies.append(joint.child)
+        A very large limit means that there is none.
+        """
+        value = getattr(joint, quantity)
+        if value is None or abs(value) >= UNLIMITED:
+            return None
+        unit = _UNITS[quantity][joint.type == "prismatic"]
+        return Fact(quantity, joint.name, value, self.place(joint, quantity).span, unit)
+
+
+UNLIMITED = 1e15
+# Units of each limit: of joints that turn, and of those that slide.
+_UNITS = {
+    "lower": ("rad", "m"),
+    "upper": ("rad", "m"),
+    "velocity": ("rad/s", "m/s"),
+    "effort": ("N m", "N"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,14 +149,30 @@ class LaunchedNode:
     conditional: bool = False
 
 
+class LaunchInclude(NamedTuple):
+    """A launch file that another one includes, with the arguments that it passes on.
+
+    An argument whose value is unknown is ``None``.
+    """
+
+    file: Fact
+    namespace: str
+    arguments: Mapping[str, str | None]
+    conditional: bool
+
+
 @dataclass(slots=True)
 class LaunchFile:
-    """A launch file: the nodes that it starts and the launch files that it includes."""
+    """A launch file: its nodes, the launch files that it includes, and defaults of its arguments.
+
+    Name spaces can contain arguments, as ``$(var name)``.
+    """
 
     file: str
     path: Path
     nodes: list[LaunchedNode] = field(default_factory=list)
-    includes: list[Fact] = field(default_factory=list)
+    includes: list[LaunchInclude] = field(default_factory=list)
+    defaults: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -236,7 +185,7 @@ class Evidence:
     - ``packages``: folder of each ROS package, by its name.
     """
 
-    descriptions: list[Description] = field(default_factory=list)
+    descriptions: list[FileDescription] = field(default_factory=list)
     sections: list[ParameterSection] = field(default_factory=list)
     launches: list[LaunchFile] = field(default_factory=list)
     facts: list[Fact] = field(default_factory=list)
@@ -248,7 +197,7 @@ class Evidence:
         """Returns the statements of parameter files and launch files of some kinds."""
         return [fact for fact in self.facts if fact.kind in kinds]
 
-    def described(self, *kinds: str) -> list[tuple[Description, Fact]]:
+    def described(self, *kinds: str) -> list[tuple[FileDescription, Fact]]:
         """Returns the statements in descriptions of some kinds, with their descriptions."""
         return [(d, fact) for d in self.descriptions for fact in d.facts if fact.kind in kinds]
 
@@ -260,7 +209,7 @@ class Evidence:
             return None
         return Path(find_in_sources(str(folder), rest) or folder / rest)
 
-    def related(self, file: str, names: tuple[str, ...] = ()) -> list[Description]:
+    def related(self, file: str, names: tuple[str, ...] = ()) -> list[FileDescription]:
         """Returns the descriptions to which a file belongs, most probably.
 
         These are the descriptions with most of the joints or links ``names``; of several, those
@@ -270,7 +219,7 @@ class Evidence:
         candidates = self.descriptions
         if names:
             counts = [
-                sum(1 for n in names if n in d.joints or n in d.bodies) for d in self.descriptions
+                sum(1 for n in names if n in d.joints or n in d.links) for d in self.descriptions
             ]
             most = max(counts, default=0)
             if most == 0:

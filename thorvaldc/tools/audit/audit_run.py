@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
@@ -25,12 +26,14 @@ from thorvaldc.tools.audit import (
     name_rules,
     parameter_files,
 )
-from thorvaldc.tools.audit.audit_facts import Evidence, UnreadableFileError
+from thorvaldc.tools.audit.audit_facts import Evidence, FileDescription, UnreadableFileError
 from thorvaldc.tools.audit.mjcf_description import read_mjcf_description
+from thorvaldc.tools.audit.sdf_description import read_sdf
 
 # A rule compares what the readers have found.
 RULES: tuple[Callable[[Evidence, Report], None], ...] = (
     drive_rules.check_wheels,
+    drive_rules.check_sides,
     name_rules.check_joint_names,
     name_rules.check_frames,
     name_rules.check_transform_owners,
@@ -42,14 +45,9 @@ RULES: tuple[Callable[[Evidence, Report], None], ...] = (
     drive_rules.check_descriptions_agree,
     body_rules.check_footprints_agree,
     body_rules.check_footprints_cover,
-    body_rules.check_masses,
-    body_rules.check_inertias,
-    body_rules.check_densities,
-    body_rules.check_lengths,
-    body_rules.check_angles,
+    body_rules.check_bodies,
+    body_rules.check_meshes,
     name_rules.check_launched_files,
-    name_rules.check_controller_sections,
-    name_rules.check_node_ids,
 )
 
 
@@ -58,11 +56,13 @@ class Audit:
     """The result of an audit.
 
     - ``sources``: path of each file by its name in source spans.
+    - ``left_out``: folders that a mark such as ``COLCON_IGNORE`` leaves out, with the mark.
     """
 
     evidence: Evidence = field(default_factory=Evidence)
     report: Report = field(default_factory=Report)
     sources: dict[str, Path] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
 
 
 def audit(names: Sequence[str], *, trust: bool = False) -> Audit:
@@ -74,6 +74,7 @@ def audit(names: Sequence[str], *, trust: bool = False) -> Audit:
     report, evidence = result.report, result.evidence
     robot_files = survey(list(names), report)
     evidence.packages.update(robot_files.packages)
+    result.left_out = robot_files.left_out
     reader = _Reader(robot_files, result)
     for file in robot_files.files:
         result.sources[file.display] = file.path
@@ -132,22 +133,18 @@ class _Reader:
     def read_yaml_file(self, file: RobotFile, data: bytes) -> None:
         is_parameters = b"ros__parameters" in data
         is_launch = b"launch:" in data and ".launch" in file.path.name
-        if not is_parameters and not is_launch and b"node_id" not in data:
+        if not is_parameters and not is_launch:
             return
         document = parameter_files.read_yaml(data, file.display, self.report)
-        if document is None:
-            return
-        if is_parameters:
+        if document is not None and is_parameters:
             self.evidence.sections += parameter_files.sections(document, file.display, file.path)
-        elif is_launch:
+        elif document is not None:
             self.evidence.launches.append(launch_files.read_yaml(document, file.display, file.path))
-        else:
-            self.evidence.facts += parameter_files.bus_facts(document)
 
     def read_xml_file(self, file: RobotFile, data: bytes) -> None:
         root = descriptions.read_xml(data, file.display, file.path)
         if root.tag == "sdf":
-            models = descriptions.read_sdf(root, file.display, file.path, self.report)
+            models = read_sdf(root, file.display, file.path, self.report)
             self.evidence.descriptions += models
         elif root.tag in ("mujoco", "mujocoinclude"):
             self.mjcf_files[os.path.realpath(file.path)] = file, root
@@ -224,9 +221,11 @@ class Survey:
     """The files of the folders that the user named, in the order of their names.
 
     - ``packages``: folder of each ROS package, by its name.
+    - ``left_out``: names of the folders that a mark such as ``COLCON_IGNORE`` leaves out.
     """
 
     files: list[RobotFile] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
     packages: dict[str, Path] = field(default_factory=dict)
     read_bytes: int = 0
 
@@ -254,49 +253,40 @@ def skip(display: str, reason: str, report: Report, span: Span | None = None) ->
 def survey(names: list[str], report: Report) -> Survey:
     """Finds the robot files in folders and adds named files; reports names that do not exist."""
     result = Survey()
-    known: set[str] = set()
     for name in names:
         path = Path(name)
         if not path.exists():
             report.add("file-not-found", f"`{name}` does not exist", Span(name))
-        elif path.is_dir():
-            _walk(path, name, result, known, report)
+            continue
+        folder = path.absolute() if path.is_dir() else path.absolute().parent
+        above = (up for up in (folder, *folder.parents) if (up / "package.xml").is_file())
+        for package in itertools.islice(above, 1):
+            _read_package(package, result)
+        if path.is_dir():
+            _walk(folder, name, result, report)
         else:
-            folder = path.absolute().parent
-            _add(result, known, RobotFile(path.absolute(), name, folder, str(path.parent)))
-            _find_package_above(folder, result)
+            result.files.append(RobotFile(path.absolute(), name, folder, str(path.parent)))
+    files: dict[str, RobotFile] = {}
+    for file in result.files:  # a file that is named twice, also by links, is read once
+        files.setdefault(os.path.realpath(file.path), file)
+    result.files = list(files.values())
     return result
 
 
-def _add(result: Survey, known: set[str], file: RobotFile) -> None:
-    real = os.path.realpath(file.path)
-    if real not in known:
-        known.add(real)
-        result.files.append(file)
-
-
-def _find_package_above(folder: Path, result: Survey) -> None:
-    for above in (folder, *folder.parents):
-        if (above / "package.xml").is_file():
-            _read_package(above, result)
-            return
-
-
-def _walk(root: Path, display: str, result: Survey, known: set[str], report: Report) -> None:
+def _walk(root: Path, display: str, result: Survey, report: Report) -> None:
     """Adds the files below a folder; links to folders are not followed."""
-    root = root.absolute()
-    _find_package_above(root, result)
     entries = 0
     for folder, folders, files in os.walk(root):
         entries += len(folders) + len(files)
         depth = len(Path(folder).relative_to(root).parts)
-        marked = folder != str(root) and any(mark in files for mark in _IGNORE_MARKS)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
-        if marked:
+        shown = os.path.normpath(os.path.join(display, Path(folder).relative_to(root)))
+        marks = [mark for mark in _IGNORE_MARKS if mark in files and folder != str(root)]
+        if marks:
+            result.left_out.append(f"`{shown}` ({marks[0]})")
             folders.clear()
             continue
         if depth >= MAX_DEPTH and folders:
-            shown = os.path.join(display, Path(folder).relative_to(root))
             _report_limit(shown, f"is more than {MAX_DEPTH} levels deep", report)
             folders.clear()
         if "package.xml" in files:
@@ -306,7 +296,7 @@ def _walk(root: Path, display: str, result: Survey, known: set[str], report: Rep
             if not name.endswith(SUFFIXES) or name.startswith("."):
                 continue
             shown = os.path.normpath(os.path.join(display, path.relative_to(root)))
-            _add(result, known, RobotFile(path, shown.replace(os.sep, "/"), root, display))
+            result.files.append(RobotFile(path, shown.replace(os.sep, "/"), root, display))
         if len(result.files) > MAX_FILES or entries > MAX_ENTRIES:
             number = f"{MAX_FILES} robot" if len(result.files) > MAX_FILES else str(MAX_ENTRIES)
             del result.files[MAX_FILES:]
@@ -345,6 +335,16 @@ _FLAG = re.compile(
 )
 
 
+class _Job(NamedTuple):
+    """A file to expand with some arguments; ``path`` is the file, or one that calls its macro."""
+
+    file: RobotFile
+    data: bytes
+    path: Path
+    arguments: dict[str, str]
+    is_variant: bool = False
+
+
 class _Expansion:
     """Adds the descriptions in URDF and xacro files to the result of an audit."""
 
@@ -352,126 +352,108 @@ class _Expansion:
         self.packages = {name: str(folder) for name, folder in result.evidence.packages.items()}
         self.evidence, self.report, self.sources = result.evidence, result.report, result.sources
         self.trust = trust
-        self.end = time.monotonic() + EXPANSION_SECONDS
+        self.included: set[Path] = set()
 
     def read_files(self, files: Sequence[tuple[RobotFile, bytes]]) -> None:
         """Expands the files that describe a robot: those with a name of the robot, and those that
         no other file includes.
         """
-        included = {
-            Path(name.decode("utf-8", "replace")).name
-            for _, data in files
-            for name in _INCLUDE.findall(data)
+        names = {name for _, data in files for name in _INCLUDE.findall(data)}
+        patterns = [
+            re.sub(r"\$[({][^)}]*[)}]", "*", name.decode("utf-8", "replace")) for name in names
+        ]
+        ends = {pattern.rpartition("/")[2] for pattern in patterns} - {"", "*"}
+        self.included = {
+            file.path for file, _ in files if any(fnmatch(file.path.name, end) for end in ends)
         }
-        tops = [
-            (file, data)
+        jobs = [
+            _Job(file, data, file.path, {})
             for file, data in files
             if (robot := _ROBOT.search(data)) is not None
-            and (re.search(rb"\bname\s*=", robot[1]) or file.path.name not in included)
+            and (re.search(rb"\bname\s*=", robot[1]) or file.path not in self.included)
         ]
-        for start in range(0, len(tops), FILES_PER_WORKER):
-            self.read(tops[start : start + FILES_PER_WORKER])
+        end = time.monotonic() + EXPANSION_SECONDS
+        with tempfile.TemporaryDirectory() as folder:
+            while jobs and time.monotonic() < end:
+                first = jobs[0].file
+                batch = [j for j in jobs[:FILES_PER_WORKER] if j.file.root == first.root]
+                jobs = [job for job in jobs if job not in batch]
+                for job, result in zip(batch, self.expand(batch), strict=True):
+                    self.sources.update(result.files)
+                    jobs += self.read(job, result, Path(folder))
+        for job in jobs:
+            if not job.is_variant:
+                self.skip(job.file, "the expansion of the other files took too long")
 
-    def expand(
-        self, file: RobotFile, paths: Sequence[Path], variants: Sequence[dict[str, str]]
-    ) -> list[ExpandedFile]:
-        """Expands files below the root of ``file`` with the arguments ``variants``."""
-        display = "" if file.root_display == "." else file.root_display
+    def expand(self, jobs: Sequence[_Job]) -> list[ExpandedFile]:
+        """Expands files below one root."""
+        file = jobs[0].file
         requests = [
-            xacro_expand.ExpansionRequest(path, args, self.packages, source_layout=True)
-            for path, args in zip(paths, variants, strict=True)
+            xacro_expand.ExpansionRequest(
+                job.path, job.arguments, self.packages, source_layout=True
+            )
+            for job in jobs
         ]
+        display = "" if file.root_display == "." else file.root_display
         shown = xacro_expand.DisplayPaths(file.root, display, {})
-        expanded = xacro_expand.expand(requests, shown, trust=self.trust)
-        for result in expanded:
-            self.sources.update(result.files)
-        return expanded
+        return xacro_expand.expand(requests, shown, trust=self.trust)
 
-    @property
-    def is_over(self) -> bool:
-        return time.monotonic() > self.end
+    def skip(self, file: RobotFile, reason: str, span: Span | None = None) -> None:
+        skip(file.display, reason, self.report, span)
+        self.evidence.incomplete.append(file.display)
 
-    def read(self, files: Sequence[tuple[RobotFile, bytes]]) -> None:
-        for _, group in itertools.groupby(files, lambda entry: entry[0].root):
-            entries = list(group)
-            if self.is_over:
-                for file, _ in entries:
-                    text = "the expansion of the other files took too long"
-                    skip(file.display, text, self.report)
-                    self.evidence.incomplete.append(file.display)
-                continue
-            paths = [file.path for file, _ in entries]
-            results = self.expand(entries[0][0], paths, [{}] * len(paths))
-            for (file, data), result in zip(entries, results, strict=True):
-                self.read_result(file, data, result)
-
-    def read_result(self, file: RobotFile, data: bytes, result: ExpandedFile) -> None:
-        """Adds the description with the default arguments, and those with other flags.
+    def read(self, job: _Job, result: ExpandedFile, folder: Path) -> list[_Job]:
+        """Adds the description in an expanded file, and returns what else to expand.
 
         A flag, such as the choice between a simulated and a real robot, decides on parts of a file;
-        each part is read in one of the descriptions.
+        each part is read in one of the descriptions.  An argument without a default becomes true.
+        A file can define its robot as a macro of its own name without parameters.
         """
-        arguments: dict[str, str] = {}
-        while (
-            result.failure is not None
-            and result.failure.kind == "argument"
-            and len(arguments) < MAX_MISSING_ARGUMENTS
-            and not self.is_over
-        ):
-            name = result.failure.text.split()[-1].strip("`'\"")
-            if name in arguments or not re.fullmatch(r"[\w-]+", name):
-                break
-            arguments[name] = "true"
-            (result,) = self.expand(file, [file.path], [arguments])
-        if result.failure is not None:
-            failure = result.failure
+        file, failure, stem = job.file, result.failure, job.file.path.name.partition(".")[0]
+        if failure is not None and (job.is_variant or file.path in self.included):
+            return []
+        if failure is not None:
+            name = failure.text.split()[-1].strip("`'\"") if failure.kind == "argument" else ""
+            is_new = name not in job.arguments and re.fullmatch(r"[\w-]+", name)
+            if is_new and len(job.arguments) < MAX_MISSING_ARGUMENTS:
+                return [job._replace(arguments={**job.arguments, name: "true"})]
             reason = _REASONS.get(failure.kind, "{}").format(failure.text)
-            skip(file.display, reason, self.report, failure.span)
-            self.evidence.incomplete.append(file.display)
-            return
-        if self.add_description(file, result, self.report):
-            self.read_variants(file, data, arguments, result)
-        else:
-            self.read_macros(file, result)
-
-    def read_variants(
-        self, file: RobotFile, data: bytes, arguments: dict[str, str], result: ExpandedFile
-    ) -> None:
-        flags = {name.decode(): value.lower() == b"true" for name, value in _FLAG.findall(data)}
-        flags |= dict.fromkeys(arguments, True)
-        known = [(name, value) for name, value in flags.items() if name in result.known_arguments]
-        variants = [
-            {**arguments, name: "false" if value else "true"}
-            for name, value in itertools.islice(known, MAX_VARIANTS)
-        ]
-        if not variants or self.is_over:
-            return
-        for other in self.expand(file, [file.path] * len(variants), variants):
-            if other.failure is None and other.elements != result.elements:
-                self.add_description(file, other, Report())
-
-    def read_macros(self, file: RobotFile, result: ExpandedFile) -> None:
-        """Adds the robot that a file defines as a macro of its own name without parameters."""
-        stem = file.path.name.partition(".")[0]
-        macros = [m for m in result.macros if m.name == stem and not m.required]
-        if not macros or self.is_over:
-            return
-        with tempfile.TemporaryDirectory() as folder:
-            caller = Path(folder, "caller.urdf.xacro")
-            caller.write_text(
-                f'<robot name="{stem}" xmlns:xacro="http://www.ros.org/wiki/xacro">'
-                f"<xacro:include filename={quoteattr(str(file.path))}/><xacro:{stem}/></robot>",
-                encoding="utf-8",
-            )
-            (expanded,) = self.expand(file, [caller], [{}])
-        if expanded.failure is None:
-            self.add_description(file, expanded, self.report)
+            self.skip(file, reason, failure.span)
+            return []
+        if self.add_description(file, result, Report() if job.is_variant else self.report):
+            flags = {n.decode(): v.lower() == b"true" for n, v in _FLAG.findall(job.data)}
+            flags |= dict.fromkeys(job.arguments, True)
+            known = [name for name in flags if name in result.known_arguments][:MAX_VARIANTS]
+            return [
+                job._replace(
+                    arguments={**job.arguments, name: str(not flags[name]).lower()}, is_variant=True
+                )
+                for name in (known if not job.is_variant else ())
+            ]
+        if job.path != file.path or not any(
+            m.name == stem and not m.required for m in result.macros
+        ):
+            return []
+        caller = folder / f"{len(list(folder.iterdir()))}.urdf.xacro"
+        caller.write_text(
+            f'<robot name="{stem}" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+            f"<xacro:include filename={quoteattr(str(file.path))}/><xacro:{stem}/></robot>",
+            encoding="utf-8",
+        )
+        return [job._replace(path=caller)]
 
     def add_description(self, file: RobotFile, result: ExpandedFile, report: Report) -> bool:
         """Adds the robot in the elements of a file, and returns whether there is one."""
-        robot = descriptions.read_urdf(result.elements, file.display, file.path, report)
-        self.evidence.descriptions += [robot] if robot is not None else []
-        return robot is not None
+        name, diagnostics = file.path.name, Report()
+        robot = FileDescription(format="URDF", name=name, file=file.display, path=file.path)
+        descriptions.read_description(robot, result.elements, diagnostics)
+        descriptions.check_tree(robot, diagnostics)
+        if diagnostics.has_errors and file.path in self.included:
+            return False  # it is a part of the robot that includes it
+        report.extend(diagnostics)
+        if robot.links and robot not in self.evidence.descriptions:
+            self.evidence.descriptions.append(robot)
+        return bool(robot.links)
 
 
 _REASONS = {

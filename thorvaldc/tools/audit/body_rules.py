@@ -1,209 +1,68 @@
-"""Rules about bodies: masses, inertias, sizes, units, mesh files, and the footprint of Nav2."""
+"""Rules about bodies: their sizes and units, mesh files, and the footprint of Nav2."""
 
 from __future__ import annotations
 
 import itertools
 import math
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import NamedTuple
 from urllib.parse import unquote
 
+from thorvaldc.compiler.descriptions.description import PlacedShape
+from thorvaldc.compiler.descriptions.description_rules import MAX_LENGTH, check_description
 from thorvaldc.compiler.shapes.meshes import load_mesh, shared_mesh_workers
+from thorvaldc.compiler.shapes.solids import measures
 from thorvaldc.diagnostics import Label, Report, Span, plain
 from thorvaldc.diagnostics.files import read_json
-from thorvaldc.model import Inertial, Mesh, Pose
+from thorvaldc.model import Box, Cylinder, Joint, MeshShape, Pose, Sphere, Vec3
 from thorvaldc.model.statics.tip_over import convex_hull
-from thorvaldc.model.stl import RECORD, stl_triangles
-from thorvaldc.model.sums import float_sum
+from thorvaldc.model.stl import mesh_vertices
 from thorvaldc.tools.audit import audit_facts as facts
 
-# Rounded inertias of thin bodies may break the triangle inequality a little.
-TOLERANCE = 0.01
-# Osmium has 22 590 kg/m^3; the air in a closed box of sheet metal makes 5 kg/m^3 possible.
-MAX_DENSITY, MIN_DENSITY = 30_000.0, 1.0
-MAX_LENGTH = 20.0  # m
-MAX_ANGLE = 4.0 * math.pi + 0.01  # rad; larger limits of joints are probably degrees
 
-
-def _bodies(evidence: facts.Evidence) -> Iterator[tuple[facts.Description, facts.Body]]:
+def check_bodies(evidence: facts.Evidence, report: Report) -> None:
+    """Judges all descriptions by the list of rules of ``check``."""
     for description in evidence.descriptions:
-        for body in description.bodies.values():
-            yield description, body
+        check_description(description, report)
 
 
-def _moving(description: facts.Description) -> set[str]:
-    """Returns the bodies that move against their parent and carry no fixed body with a mass."""
-    moving = {
-        joint.child for joint in description.joints.values() if joint.kind not in ("fixed", "free")
-    }
-    carrying = {
-        joint.parent
-        for joint in description.joints.values()
-        if joint.kind == "fixed" and joint.child in description.bodies
-    }
-    return moving - carrying
+# -- meshes, of which the time and the number are limited ---------------------------------
+
+MESH_SECONDS = 30.0
+MAX_MESHES = 300
 
 
-def check_masses(evidence: facts.Evidence, report: Report) -> None:
-    """Reports masses that are negative, and moving bodies whose mass is zero."""
-    for description, body in _bodies(evidence):
-        if body.mass is None or body.mass_span is None:
-            continue
-        zero = body.mass == 0.0 and body.name in _moving(description)
-        if body.mass < 0.0 or zero:
-            what = "moves, but has the mass 0" if zero else f"has the mass {body.mass:g} kg"
-            report.add(
-                "audit-mass",
-                f"body `{body.name}` {what}; simulators reject it or drop the body",
-                body.mass_span,
-                hint="weigh the part, or estimate: volume times density",
-            )
+class _LinkMesh(NamedTuple):
+    """A mesh of a link and its file; ``other`` is the half diagonal (m) of its other shapes."""
+
+    link: str
+    name: str
+    scale: Vec3
+    path: Path
+    span: Span
+    other: float
 
 
-def check_inertias(evidence: facts.Evidence, report: Report) -> None:
-    """Reports inertias that no body has, and those too large for the size of the body."""
-    for description, body in _bodies(evidence):
-        if body.inertia is None or body.inertia_span is None or len(body.inertia) != 6:
-            continue
-        xx, yy, zz, xy, xz, yz = body.inertia
-        inertial = Inertial(body.mass or 0.0, (0.0, 0.0, 0.0), (xx, yy, zz, xy, xz, yz))
-        low, middle, high = inertial.principal_moments()
-        reason = ""
-        if low < -1e-9 - TOLERANCE * abs(high):
-            reason = "one is negative"
-        elif high > (low + middle) * (1.0 + TOLERANCE) + 1e-12:
-            reason = "one exceeds the sum of the others"
-        elif high <= 0.0 and (body.mass or 0.0) > 0.0 and body.name in _moving(description):
-            reason = "a moving body needs an inertia"
-        if reason:
-            report.add(
-                "audit-inertia",
-                f"body `{body.name}` has the principal moments of inertia {low:.4g}, {middle:.4g},"
-                f" {high:.4g} kg m^2: {reason}",
-                body.inertia_span,
-                hint="compute them from the shape; for a box: ixx = m (y^2 + z^2) / 12",
-            )
-            continue
-        reach = _reach(body)
-        if body.mass and body.mass > 0.0 and reach is not None and high > body.mass * reach**2:
-            report.add(
-                "audit-inertia-size",
-                f"body `{body.name}` has a moment of inertia of {high:.4g} kg m^2, but its"
-                f" {body.mass:g} kg within {plain(reach, 3)} m can have at most"
-                f" {body.mass * reach**2:.4g} kg m^2",
-                body.inertia_span,
-                hint="the unit is kg m^2, about the centre of mass; kg mm^2 are 1e-6 of that",
-            )
-
-
-def _half_diagonal(shape: facts.SolidShape) -> float | None:
-    size = shape.size
-    if shape.kind == "box":
-        return math.hypot(*size) / 2.0
-    if shape.kind in ("cylinder", "tyre"):
-        return math.hypot(size[0], size[1] / 2.0)
-    if shape.kind == "capsule":
-        return size[0] + size[1] / 2.0
-    if shape.kind in ("sphere", "ellipsoid"):
-        return max(size)
-    return None
-
-
-def _reach(body: facts.Body) -> float | None:
-    """Returns an upper limit of the distance of two points of a body in m, if it is known."""
-    reaches: list[float] = []
-    for shape in body.shapes:
-        half = _half_diagonal(shape)
-        if half is None:
-            return None
-        reaches.append(half + math.hypot(*shape.pose.xyz))
-    return 2.0 * max(reaches) if reaches else None
-
-
-def _volume(shape: facts.SolidShape) -> float | None:
-    size = shape.size
-    if shape.kind == "box":
-        return size[0] * size[1] * size[2]
-    if shape.kind in ("cylinder", "tyre"):
-        return math.pi * size[0] ** 2 * size[1]
-    if shape.kind == "sphere":
-        return 4.0 / 3.0 * math.pi * size[0] ** 3
-    if shape.kind == "capsule":
-        return math.pi * size[0] ** 2 * (size[1] + 4.0 / 3.0 * size[0])
-    if shape.kind == "ellipsoid":
-        return 4.0 / 3.0 * math.pi * size[0] * size[1] * size[2]
-    return None
-
-
-def check_densities(evidence: facts.Evidence, report: Report) -> None:
-    """Reports bodies that are denser than any metal, or lighter than air in a foil."""
-    for description, body in _bodies(evidence):
-        if body.mass is None or body.mass_span is None or body.mass <= 0.0:
-            continue
-        volumes: list[float] = []
-        for collides in (True, False):
-            parts = [_volume(shape) for shape in body.shapes if shape.collides is collides]
-            if any(part is None for part in parts):
-                volumes = []
-                break
-            volumes.append(float_sum(part for part in parts if part is not None))
-        if not volumes or max(volumes) <= 0.0 or body.name in _carriers(description):
-            continue
-        density = body.mass / max(volumes)
-        if density > MAX_DENSITY or density < MIN_DENSITY:
-            compared = "denser than any metal" if density > MAX_DENSITY else "lighter than air"
-            report.add(
-                "audit-density",
-                f"body `{body.name}` has {body.mass:g} kg in {max(volumes):.3g} m^3, which is"
-                f" {density:.3g} kg/m^3: {compared}",
-                body.mass_span,
-                hint="masses are in kg and lengths in m; is one of them in g or mm?",
-            )
-
-
-def _carriers(description: facts.Description) -> set[str]:
-    """Returns bodies to which fixed joints attach bodies with shapes: their mass may be merged."""
-    return {
-        joint.parent
-        for joint in description.joints.values()
-        if joint.kind == "fixed"
-        and joint.child in description.bodies
-        and description.bodies[joint.child].shapes
-    }
-
-
-def check_lengths(evidence: facts.Evidence, report: Report) -> None:
-    """Reports shapes and meshes of a size that suggests millimetres, and missing mesh files."""
-    for _, body in _bodies(evidence):
-        for shape in body.shapes:
-            if shape.kind not in ("mesh", "plane") and max(shape.size) > MAX_LENGTH:
-                report.add(
-                    "audit-length-unit",
-                    f"a {shape.kind} of body `{body.name}` measures {plain(max(shape.size))} m",
-                    shape.span,
-                    hint="lengths are in m; is this one in mm?",
-                )
+def check_meshes(evidence: facts.Evidence, report: Report) -> None:
+    """Reports meshes of a size that suggests millimetres, and missing mesh files."""
     meshes = _meshes(evidence)
-    boxes = _mesh_boxes(dict.fromkeys(path for _, _, path in meshes))
-    for body, shape, path in meshes:
-        box = boxes.get(path)
-        if box is None:
-            if not path.exists():
+    sizes = _mesh_sizes(dict.fromkeys(mesh.path for mesh in meshes))
+    for mesh in meshes:
+        if mesh.path not in sizes:
+            if not mesh.path.exists():
                 report.add(
                     "audit-mesh-missing",
-                    f"the mesh file `{shape.mesh}` does not exist",
-                    shape.span,
+                    f"the mesh file `{mesh.name}` does not exist",
+                    mesh.span,
                     hint="check spelling and case; paths are relative to the package",
                 )
             continue
-        edges = [
-            abs(scale) * (high - low)
-            for scale, low, high in zip(shape.size, box[0], box[1], strict=True)
-        ]
-        largest, other, hint = max(edges), _size_of_others(body, shape), ""
-        if largest > MAX_LENGTH or (other is not None and largest > 100.0 * other):
-            is_scaled = max(map(abs, shape.size)) <= 0.1
+        edges = zip(mesh.scale, sizes[mesh.path], strict=True)
+        largest, hint = max(abs(scale) * edge for scale, edge in edges), ""
+        if largest > MAX_LENGTH or largest > 100.0 * mesh.other:
+            is_scaled = max(map(abs, mesh.scale)) <= 0.1
             hint = (
                 "is its scale right?" if is_scaled else "is it in mm? use it with a scale of 0.001"
             )
@@ -212,41 +71,31 @@ def check_lengths(evidence: facts.Evidence, report: Report) -> None:
         if hint:
             report.add(
                 "audit-length-unit",
-                f"the mesh `{shape.mesh}` of body `{body.name}` measures {plain(largest, 3)} m",
-                shape.span,
+                f"the mesh `{mesh.name}` of link `{mesh.link}` measures {plain(largest, 3)} m",
+                mesh.span,
                 hint=hint,
             )
 
 
-def _size_of_others(body: facts.Body, mesh: facts.SolidShape) -> float | None:
-    """Returns the largest half diagonal of the other shapes of a body, if it is known."""
-    halves = [_half_diagonal(shape) for shape in body.shapes if shape is not mesh]
-    known = [half for half in halves if half is not None and half > 0.0]
-    return max(known) if known else None
-
-
-Box = tuple[Sequence[float], Sequence[float]]
-MESH_SECONDS = 30.0
-MAX_MESHES = 300
-_VERTICES = 30_000  # of a mesh with more, a part is read
-
-
-def _meshes(evidence: facts.Evidence) -> list[tuple[facts.Body, facts.SolidShape, Path]]:
+def _meshes(evidence: facts.Evidence) -> list[_LinkMesh]:
     """Returns the meshes of URDF and SDF with their files, if their package is audited."""
-    paths: dict[tuple[Path, str], Path | None] = {}
-    meshes: list[tuple[facts.Body, facts.SolidShape, Path]] = []
-    for description, body in _bodies(evidence):
-        for shape in body.shapes if description.format != "MJCF" else ():
-            if shape.kind == "mesh":
-                key = description.path.parent, shape.mesh
-                if key not in paths:
-                    paths[key] = _mesh_path(shape.mesh, description, evidence)
-                path = paths[key]
-                meshes += [(body, shape, path)] if path is not None else []
+    meshes: list[_LinkMesh] = []
+    for description in evidence.descriptions:
+        for link in description.links.values() if description.format != "MJCF" else ():
+            shapes = list(description.shapes(link))
+            sizes = [size for s in shapes if (size := measures(s.shape)) is not None]
+            other = max((size.half_diagonal for size in sizes), default=math.inf)
+            for shape, _, _, span in shapes:
+                if isinstance(shape, MeshShape):
+                    path = _mesh_path(shape.mesh, description, evidence)
+                    mesh = (link.name, shape.mesh, shape.scale)
+                    meshes += [_LinkMesh(*mesh, path, span, other)] if path is not None else []
     return meshes
 
 
-def _mesh_path(name: str, description: facts.Description, evidence: facts.Evidence) -> Path | None:
+def _mesh_path(
+    name: str, description: facts.FileDescription, evidence: facts.Evidence
+) -> Path | None:
     for scheme in ("package://", "model://", "$(find "):
         if name.startswith(scheme):
             return evidence.file_in_package(
@@ -258,60 +107,19 @@ def _mesh_path(name: str, description: facts.Description, evidence: facts.Eviden
     return description.path.parent / name if name and "://" not in name else None
 
 
-def _mesh_boxes(paths: Iterable[Path]) -> dict[Path, Box]:
-    """Returns the corners (m) of the bounding boxes of meshes that can be read, with scale 1.
-
-    The time and the number of meshes are limited.
-    """
-    boxes: dict[Path, Box] = {}
+def _mesh_sizes(paths: Iterable[Path]) -> dict[Path, list[float]]:
+    """Returns the edges (m) of the bounding boxes of meshes that can be read, with scale 1."""
+    sizes: dict[Path, list[float]] = {}
     end = time.monotonic() + MESH_SECONDS
     with shared_mesh_workers():
-        for path in itertools.islice(filter(_is_file, paths), MAX_MESHES):
+        for path in itertools.islice(paths, MAX_MESHES):
             if time.monotonic() > end:
                 break
             mesh = load_mesh(path, Span(path.name), Report(), display=path.name)
-            points = _points(mesh) if mesh is not None else []
+            points = mesh_vertices(mesh.name, mesh.data) if mesh is not None else ()
             if points:
-                axes = list(zip(*points, strict=True))
-                boxes[path] = [min(axis) for axis in axes], [max(axis) for axis in axes]
-    return boxes
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
-def _points(mesh: Mesh) -> list[tuple[float, ...]]:
-    if mesh.name.endswith(".obj"):
-        lines = (line for line in mesh.data.splitlines() if line.startswith(b"v "))
-        return [tuple(float(word) for word in line.split()[1:4]) for line in lines]
-    step = max(1, len(mesh.data) // RECORD * 3 // _VERTICES)
-    return list(itertools.chain.from_iterable(stl_triangles(mesh.data, step)))
-
-
-def check_angles(evidence: facts.Evidence, report: Report) -> None:
-    """Reports angles of joints that suggest degrees."""
-    for description in evidence.descriptions:
-        for joint in description.joints.values():
-            if joint.kind not in ("revolute", "hinge"):
-                continue
-            for name in ("lower", "upper"):
-                limit = joint.limits.get(name)
-                if limit is None or abs(limit.value) <= MAX_ANGLE:
-                    continue
-                if abs(limit.value) > 1e4:  # a way to write "no limit"
-                    continue
-                report.add(
-                    "audit-angle-unit",
-                    f"the {name} limit of joint `{joint.name}` is {limit.value:g} rad, which is"
-                    f" {abs(limit.value) / (2 * math.pi):.3g} turns",
-                    limit.span,
-                    hint=f"is it in degrees? {limit.value:g} degrees are"
-                    f" {math.radians(limit.value):.6g} rad",
-                )
+                sizes[path] = [max(axis) - min(axis) for axis in zip(*points, strict=True)]
+    return sizes
 
 
 # -- footprints of Nav2 -----------------------------------------------------------------
@@ -338,17 +146,11 @@ def footprint_of(section: facts.ParameterSection) -> facts.Fact | None:
 
 def _polygon(text: str) -> tuple[Point, ...] | None:
     try:
-        points = read_json(text)
-    except ValueError:
+        points = tuple((float(x), float(y)) for x, y in read_json(text))
+    except (TypeError, ValueError):
         return None
-    if not isinstance(points, list) or len(points) < 3:
-        return None
-    for point in points:
-        if not isinstance(point, list) or len(point) != 2:
-            return None
-        if not all(isinstance(v, int | float) and abs(v) < 1e6 for v in point):
-            return None
-    return tuple((float(x), float(y)) for x, y in points)
+    is_plain = all(abs(value) < 1e6 for point in points for value in point)
+    return points if is_plain and len(points) >= 3 else None
 
 
 def check_footprints_agree(evidence: facts.Evidence, report: Report) -> None:
@@ -404,23 +206,23 @@ def check_footprints_cover(evidence: facts.Evidence, report: Report) -> None:
 
 
 def farthest_outside(
-    description: facts.Description, base: str, fact: facts.Fact
-) -> tuple[float, str, facts.SolidShape] | None:
+    description: facts.FileDescription, base: str, fact: facts.Fact
+) -> tuple[float, str, PlacedShape] | None:
     """Returns how far a body stands out of a footprint (m; negative: inside), and its shape.
 
     Only bodies on fixed joints and wheels count: an arm moves.  Meshes are left out.
     """
-    poses = description.root_poses()
+    poses = description.poses
     if base not in poses:
         return None
     parents = {joint.child: joint for joint in description.joints.values()}
     X_BW = poses[base].inverse()
-    best: tuple[float, str, facts.SolidShape] | None = None
-    for name, body in description.bodies.items():
-        if not _is_rigid(name, parents):
+    best: tuple[float, str, PlacedShape] | None = None
+    for name, link in description.links.items():
+        if not _is_rigid(name, parents) or name not in poses:
             continue
-        for shape in body.shapes:
-            if not shape.collides or name not in poses:
+        for shape in description.shapes(link):
+            if not shape.collides:
                 continue
             for x, y in _outline(shape, X_BW * poses[name]):
                 distance = _distance(fact, x, y)
@@ -429,30 +231,30 @@ def farthest_outside(
     return best
 
 
-def _is_rigid(name: str, parents: Mapping[str, facts.BodyJoint]) -> bool:
+def _is_rigid(name: str, parents: Mapping[str, Joint]) -> bool:
     for _ in range(100):
         joint = parents.get(name)
         if joint is None:
             return True
-        if joint.kind not in ("fixed", "continuous", "free"):
+        if joint.type not in ("fixed", "continuous", "floating"):
             return False
         name = joint.parent
     return False
 
 
-def _outline(shape: facts.SolidShape, X_BL: Pose) -> list[Point]:
+def _outline(shape: PlacedShape, X_BL: Pose) -> list[Point]:
     """Returns points of a shape that stand out farthest, in the frame of the robot."""
     pose = X_BL * shape.pose
-    size = shape.size
-    if shape.kind == "box":
-        corners = itertools.product(*((-edge / 2, edge / 2) for edge in size))
-        return [pose.apply((x, y, z))[:2] for x, y, z in corners]
-    if shape.kind == "sphere":
-        x, y, _ = pose.xyz
-        return [(x + size[0] * c, y + size[0] * s) for c, s in _CIRCLE]
-    if shape.kind in ("cylinder", "tyre"):
-        ends = [(size[0] * c, size[0] * s, z * size[1] / 2) for c, s in _CIRCLE for z in (-1, 1)]
-        return [pose.apply(end)[:2] for end in ends]
+    match shape.shape:
+        case Box(size):
+            corners = itertools.product(*((-edge / 2, edge / 2) for edge in size))
+            return [pose.apply((x, y, z))[:2] for x, y, z in corners]
+        case Sphere(radius):
+            x, y, _ = pose.xyz
+            return [(x + radius * c, y + radius * s) for c, s in _CIRCLE]
+        case Cylinder(r, length):
+            ends = [(r * c, r * s, z * length / 2) for c, s in _CIRCLE for z in (-1, 1)]
+            return [pose.apply(end)[:2] for end in ends]
     return []
 
 

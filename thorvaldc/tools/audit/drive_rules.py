@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from typing import NamedTuple
 
-from thorvaldc.diagnostics import Label, Report, plain
-from thorvaldc.model import Pose, Vec3
-from thorvaldc.model.spatial import dot, norm, sub
+from thorvaldc.compiler.descriptions.description_rules import (
+    judge_pair,
+    right_name,
+)
+from thorvaldc.diagnostics import Label, Report, Span, plain
+from thorvaldc.model import Cylinder, Joint, Pose, Sphere, Vec3
+from thorvaldc.model.spatial import cross, dot, norm, sub
 from thorvaldc.tools.audit import audit_facts
-from thorvaldc.tools.audit.audit_facts import BodyJoint, Description, Evidence, Fact, SolidShape
+from thorvaldc.tools.audit.audit_facts import Evidence, Fact, FileDescription
 from thorvaldc.tools.audit.parameter_files import stamped_arguments
 
 # An effective radius or separation under load may differ a little on purpose.
@@ -20,27 +25,10 @@ TOLERANCE = 0.01
 
 def check_wheels(evidence: Evidence, report: Report) -> None:
     """Compares each stated wheel radius, wheel separation and wheelbase with the description."""
-    for kind, measure, motion, hint in (
-        (
-            "wheel radius",
-            _true_radius,
-            "drives",
-            "write the measured radius in all files, or keep the geometry and set the"
-            " controller's radius multiplier",
-        ),
-        (
-            "wheel separation",
-            partial(_true_distance, axis=1),
-            "turns",
-            "write the true separation; corrections for slip belong in the controller's"
-            " separation multiplier",
-        ),
-        (
-            "wheelbase",
-            partial(_true_distance, axis=0),
-            "",
-            "write the true distance of the front and the rear wheels",
-        ),
+    for kind, measure, motion in (
+        ("wheel radius", _true_radius, "drives"),
+        ("wheel separation", partial(_true_distance, axis=1), "turns"),
+        ("wheelbase", partial(_true_distance, axis=0), ""),
     ):
         code = "audit-wheel-radius" if kind == "wheel radius" else "audit-wheel-separation"
         for fact, true in _differing(kind, measure, evidence):
@@ -56,13 +44,28 @@ def check_wheels(evidence: Evidence, report: Report) -> None:
                 f"{fact.subject} computes with a {kind} of {plain(fact.value)} m, but"
                 f" {true.subject} has {plain(true.value)} m{effect if motion else ''}",
                 fact.span,
-                hint=hint,
+                hint="write the measured value in all files; corrections for load and slip belong"
+                " in the multipliers of the controller",
                 labels=[Label(true.span, f"{plain(true.value)} m here")],
             )
 
 
+def check_sides(evidence: Evidence, report: Report) -> None:
+    """Reports drives whose left wheels are on the right, or turn about another axis."""
+    facts = [fact for _, fact in evidence.described("wheel separation")]
+    for fact in (*facts, *evidence.stated("wheel separation")):
+        middle = fact.names.index("")
+        names = tuple(filter(None, fact.names))
+        for description in evidence.related(fact.span.file, names)[:1]:
+            for pair in zip(fact.names[:middle], fact.names[middle + 1 :], strict=False):
+                left, right = map(description.joints.get, pair)
+                is_judged = right_name(pair[0]) == pair[1]  # by the names in the description
+                if left is not None and right is not None and not is_judged:
+                    judge_pair(description, left, right, report, (fact.subject, fact.span))
+
+
 def _differing(
-    kind: str, measure: Callable[[Description, Fact], Fact | None], evidence: Evidence
+    kind: str, measure: Callable[[FileDescription, Fact], Fact | None], evidence: Evidence
 ) -> list[tuple[Fact, Fact]]:
     """Returns pairs of a statement and the geometry that it contradicts.
 
@@ -86,7 +89,7 @@ def _differs(fact: Fact, true: Fact) -> bool:
     return abs(ratio - 1.0) > TOLERANCE + 1e-9
 
 
-def _true_radius(description: Description, fact: Fact) -> Fact | None:
+def _true_radius(description: FileDescription, fact: Fact) -> Fact | None:
     """Returns the wheel whose radius is next to a stated radius."""
     radii = [
         radius
@@ -97,12 +100,11 @@ def _true_radius(description: Description, fact: Fact) -> Fact | None:
     return min(radii, key=lambda radius: abs(radius.value - fact.value), default=None)
 
 
-def _true_distance(description: Description, fact: Fact, axis: int) -> Fact | None:
+def _true_distance(description: FileDescription, fact: Fact, axis: int) -> Fact | None:
     """Returns the distance along an axis between the two groups of wheels of a statement.
 
     ``axis``: 1 for the lateral distance of left and right wheels, 0 for that of front and rear.
     """
-    poses = description.root_poses()
     middle = fact.names.index("")
     sides: list[float] = []
     for names in (fact.names[:middle], fact.names[middle + 1 :]):
@@ -110,7 +112,7 @@ def _true_distance(description: Description, fact: Fact, axis: int) -> Fact | No
             center
             for name in names
             if name in description.joints
-            and (center := wheel_center(description, description.joints[name], poses)) is not None
+            and (center := wheel_center(description, description.joints[name])) is not None
         ]
         if len(centers) < len(names) or not centers:
             return None
@@ -123,65 +125,66 @@ def _true_distance(description: Description, fact: Fact, axis: int) -> Fact | No
     return Fact(fact.kind, f"the description `{description.name}`", distance, first.span)
 
 
-def wheel_radius(description: Description, joint: BodyJoint) -> Fact | None:
+def wheel_radius(description: FileDescription, joint: Joint) -> Fact | None:
     """Returns the radius of the wheel that a joint turns, from its shapes, or ``None``.
 
     A wheel is a sphere, or a cylinder whose axis is that of the joint, with its centre on the axis.
     Collision shapes count before shapes for the eye.  The largest wheel of the link counts.
     """
-    best: dict[bool, Fact] = {}
-    for body, shape in _round_shapes(description, joint):
-        radius = shape.size[0]
-        fact = best.get(shape.collides)
-        if fact is None or radius > fact.value:
-            subject = f"joint `{joint.name}`"
-            best[shape.collides] = Fact("wheel radius", subject, radius, shape.span, "m", (body,))
-    return best.get(True) or best.get(False)
+    wheels = _round_shapes(description, joint)
+    for collides in (True, False):
+        radii = [
+            Fact("wheel radius", f"joint `{joint.name}`", wheel.shape.radius, wheel.span, "m")
+            for wheel in wheels
+            if wheel.collides is collides
+        ]
+        if radii:
+            return max(radii, key=lambda fact: float(fact.value))
+    return None
 
 
-def wheel_center(description: Description, joint: BodyJoint, poses: dict[str, Pose]) -> Vec3 | None:
+def wheel_center(description: FileDescription, joint: Joint) -> Vec3 | None:
     """Returns the centre of the wheel that a joint turns in the frame of the root, or ``None``.
 
     A wheel without shapes is at the joint.  The centre of a wheel that is only a mesh is unknown,
     because the mesh can lie beside the joint.
     """
-    link = poses.get(joint.child)
+    link = description.poses.get(joint.child)
     if link is None:
         return None
-    for collides in (True, False):
-        for _, shape in _round_shapes(description, joint):
-            if shape.collides is collides:
-                return link.apply(shape.pose.xyz)
-    has_shapes = any(body.shapes for body, _ in description.rigid_part(joint.child))
-    return None if has_shapes else link.xyz
+    wheels = sorted(_round_shapes(description, joint), key=lambda wheel: not wheel.collides)
+    if wheels:
+        return link.apply(wheels[0].pose.xyz)
+    parts = map(description.links.__getitem__, description.rigid_part(joint.child))
+    return None if any(part.visuals or part.collisions for part in parts) else link.xyz
 
 
-def _round_shapes(description: Description, joint: BodyJoint) -> list[tuple[str, SolidShape]]:
+class _Wheel(NamedTuple):
+    shape: Cylinder | Sphere
+    pose: Pose
+    collides: bool
+    span: Span
+
+
+def _round_shapes(description: FileDescription, joint: Joint) -> list[_Wheel]:
     """Returns the wheel shapes of a joint, with poses in the frame of the joint."""
-    axis_length = norm(joint.axis)
-    if not joint.turns or axis_length == 0.0:
+    if joint.type not in ("revolute", "continuous"):
         return []
-    axis = tuple(a / axis_length for a in joint.axis)
-    shapes: list[tuple[str, SolidShape]] = []
-    for body, pose in description.rigid_part(joint.child):
-        for shape in body.shapes:
-            placed = pose * shape.pose
-            direction = placed.rotate((0.0, 0.0, 1.0))
-            along = abs(dot(direction, (axis[0], axis[1], axis[2])))
-            position = sub(placed.xyz, joint.anchor)
-            on_axis = dot(position, (axis[0], axis[1], axis[2]))
-            offset = math.sqrt(max(0.0, dot(position, position) - on_axis * on_axis))
-            flat = shape.kind in ("cylinder", "tyre", "capsule")
-            is_wheel = shape.kind == "sphere" or (flat and along > 0.99)
-            if is_wheel and shape.size[0] > 0.0 and offset < 0.1 * shape.size[0]:
-                shapes.append((body.name, shape._replace(pose=placed)))
-    return shapes
+    wheels: list[_Wheel] = []
+    for link, pose in description.rigid_part(joint.child).items():
+        for shape, own, collides, span in description.shapes(description.links[link]):
+            if not isinstance(shape, Cylinder | Sphere):
+                continue
+            placed = pose * own
+            along = abs(dot(placed.rotate((0.0, 0.0, 1.0)), joint.axis))
+            offset = norm(cross(placed.xyz, joint.axis))
+            is_wheel = isinstance(shape, Sphere) or along > 0.99
+            if is_wheel and offset < 0.1 * shape.radius:
+                wheels.append(_Wheel(shape, placed, collides, span))
+    return wheels
 
 
 # -- limits of joints, and one robot in several descriptions ----------------------------
-
-# A wheel that sinks into the soft contact of a simulator may be a little larger there.
-RADIUS_TOLERANCE = 0.02
 
 
 def check_command_limits(evidence: Evidence, report: Report) -> None:
@@ -195,9 +198,9 @@ def check_command_limits(evidence: Evidence, report: Report) -> None:
                 continue
             limit = None
             if interface == "velocity":
-                limit = joint.limits.get("velocity")
+                limit = description.limit(joint, "velocity")
             elif interface == "position":
-                limit = joint.limits.get("upper" if end == "max" else "lower")
+                limit = description.limit(joint, "upper" if end == "max" else "lower")
             if limit is None or (interface == "velocity" and limit.value <= 0.0):
                 continue
             bound = -limit.value if interface == "velocity" and end == "min" else limit.value
@@ -216,13 +219,13 @@ def check_command_limits(evidence: Evidence, report: Report) -> None:
             )
 
 
-def _pairs(evidence: Evidence) -> Iterator[tuple[Description, Description]]:
+def _pairs(evidence: Evidence) -> Iterator[tuple[FileDescription, FileDescription]]:
     """Yields descriptions of one robot in two formats: most of the joints have equal names."""
     for a, b in itertools.combinations(evidence.descriptions[:200], 2):
         if a.format == b.format:
             continue
-        names_a = {n for n, j in a.joints.items() if j.kind not in ("fixed", "free")}
-        names_b = {n for n, j in b.joints.items() if j.kind not in ("fixed", "free")}
+        names_a = {n for n, j in a.joints.items() if j.type not in ("fixed", "floating")}
+        names_b = {n for n, j in b.joints.items() if j.type not in ("fixed", "floating")}
         common = names_a & names_b
         if len(common) >= 2 and 2 * len(common) >= min(len(names_a), len(names_b)):
             words = audit_facts.path_words(a.file) & audit_facts.path_words(b.file)
@@ -235,58 +238,53 @@ def _pairs(evidence: Evidence) -> Iterator[tuple[Description, Description]]:
                 yield a, b
 
 
+# Relative and absolute tolerances.  A wheel that sinks into the soft contact of a simulator may be
+# a little larger there.
+_TOLERANCES = {"wheel radius": (0.02, 0.0), "distance": (TOLERANCE, 0.002)}
+
+
 def check_descriptions_agree(evidence: Evidence, report: Report) -> None:
     """Reports limits, wheel radii and wheel positions that differ between formats of one robot."""
     for a, b in _pairs(evidence):
-        wheels: list[str] = []
-        for name, joint in a.joints.items():
-            other = b.joints.get(name)
-            if other is None:
+        names = [name for name in a.joints if name in b.joints]
+        wheels = [n for n in names if all(wheel_radius(d, d.joints[n]) for d in (a, b))]
+        others = _quantities(b, names, wheels)
+        for what, first in _quantities(a, names, wheels).items():
+            second = others.get(what)
+            relative, absolute = _TOLERANCES.get(first.kind, (TOLERANCE, 1e-5))
+            if second is None or first.unit != second.unit:
                 continue
-            for quantity in ("lower", "upper", "velocity", "effort"):
-                first, second = joint.limits.get(quantity), other.limits.get(quantity)
-                if first is None or second is None or first.unit != second.unit:
-                    continue
-                width = max(abs(first.value), abs(second.value), 1e-3)
-                if abs(first.value - second.value) > TOLERANCE * width:
-                    _report(f"the {quantity} limit of joint `{name}`", first, second, a, b, report)
-            radius, other_radius = wheel_radius(a, joint), wheel_radius(b, other)
-            if radius is None or other_radius is None:
-                continue
-            wheels.append(name)
-            if not math.isclose(radius.value, other_radius.value, rel_tol=RADIUS_TOLERANCE):
-                what = f"the wheel radius at joint `{name}`"
-                _report(what, radius, other_radius, a, b, report)
-        _check_distances(wheels, a, b, report)
+            if not math.isclose(first.value, second.value, rel_tol=relative, abs_tol=absolute):
+                report.add(
+                    "audit-descriptions-differ",
+                    f"{what} is {second.value:.6g} {second.unit} in {b.format}, but"
+                    f" {first.value:.6g} {first.unit} in {a.format}",
+                    second.span,
+                    hint="make both files from one source",
+                    labels=[Label(first.span, f"{first.value:.6g} {first.unit} here")],
+                )
 
 
-def _check_distances(wheels: list[str], a: Description, b: Description, report: Report) -> None:
-    """Reports wheels whose distance from the first wheel differs between two descriptions."""
-    placed = [(description, description.root_poses()) for description in (a, b)]
-    for name in wheels[1:]:
-        facts: list[Fact] = []
-        for description, poses in placed:
-            joints = (description.joints[wheels[0]], description.joints[name])
-            start, end = (wheel_center(description, joint, poses) for joint in joints)
-            if start is not None and end is not None:
-                facts.append(Fact("distance", name, norm(sub(end, start)), joints[1].span, "m"))
-        lengths = [fact.value for fact in facts]
-        if len(lengths) == 2 and not math.isclose(*lengths, rel_tol=TOLERANCE, abs_tol=0.002):
+def _quantities(
+    description: FileDescription, names: Sequence[str], wheels: Sequence[str]
+) -> dict[str, Fact]:
+    """Returns limits, wheel radii and distances from the first wheel, by their names."""
+    facts: dict[str, Fact] = {}
+    for name in names:
+        for quantity in ("lower", "upper", "velocity", "effort"):
+            limit = description.limit(description.joints[name], quantity)
+            if limit is not None:
+                facts[f"the {quantity} limit of joint `{name}`"] = limit
+    for name in wheels:
+        joint, first = description.joints[name], description.joints[wheels[0]]
+        radius = wheel_radius(description, joint)
+        if radius is not None:
+            facts[f"the wheel radius at joint `{name}`"] = radius
+        start, end = wheel_center(description, first), wheel_center(description, joint)
+        if start is not None and end is not None:
             what = f"the distance of the wheels at joints `{wheels[0]}` and `{name}`"
-            _report(what, facts[0], facts[1], a, b, report)
-
-
-def _report(
-    what: str, first: Fact, second: Fact, a: Description, b: Description, report: Report
-) -> None:
-    report.add(
-        "audit-descriptions-differ",
-        f"{what} is {second.value:.6g} {second.unit} in {b.format}, but {first.value:.6g}"
-        f" {first.unit} in {a.format}",
-        second.span,
-        hint="make both files from one source",
-        labels=[Label(first.span, f"{first.value:.6g} {first.unit} here")],
-    )
+            facts[what] = Fact("distance", name, norm(sub(end, start)), joint.span, "m")
+    return facts
 
 
 # -- twists: stamped against unstamped, and speeds beyond the limits --------------------
@@ -350,16 +348,16 @@ def check_wheel_speeds(evidence: Evidence, report: Report) -> None:
         radius = wheels.get(fact.span.file)
         if radius is None or "linear.x.max_velocity" not in fact.subject:
             continue
-        joints = [
-            (description, description.joints[name])
-            for description in evidence.related(fact.span.file, radius.names)
-            for name in radius.names
-            if name in description.joints and "velocity" in description.joints[name].limits
-        ]
-        for description, joint in joints:
+        for description, name in itertools.product(
+            evidence.related(fact.span.file, radius.names), radius.names
+        ):
+            joint = description.joints.get(name)
+            limit = description.limit(joint, "velocity") if joint is not None else None
+            if joint is None or limit is None or limit.value <= 0.0:
+                continue
             true = wheel_radius(description, joint) or radius
-            needed, limit = fact.value / true.value, joint.limits["velocity"]
-            if limit.value > 0.0 and needed > limit.value * (1.0 + TOLERANCE):
+            needed = fact.value / true.value
+            if needed > limit.value * (1.0 + TOLERANCE):
                 report.add(
                     "audit-speed",
                     f"{fact.subject} allows {fact.value:g} m/s, for which the wheels turn with"

@@ -1,4 +1,7 @@
-"""Reads launch files in Python (syntax tree only), XML and YAML, and follows their includes."""
+"""Reads launch files in Python (syntax tree only), XML and YAML, and follows their includes.
+
+Python and YAML become the elements of XML, so that one reader reads all three.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import os
 import re
 import warnings
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +20,7 @@ from thorvaldc.diagnostics import Span
 from thorvaldc.tools.audit import audit_facts as facts
 from thorvaldc.tools.audit.descriptions import walk
 
-# -- plain values in the syntax tree of a Python launch file ----------------------------
+# -- Python ------------------------------------------------------------------------------
 
 _PACKAGE_FOLDER = (
     *("get_package_share_directory", "get_package_share_path", "FindPackageShare"),
@@ -27,100 +31,210 @@ _WRAPPERS = (
     *("PythonLaunchDescriptionSource", "AnyLaunchDescriptionSource", "XMLLaunchDescriptionSource"),
     *("FrontendLaunchDescriptionSource", "YAMLLaunchDescriptionSource", "TextSubstitution"),
 )
-MAX_DEPTH = 60
+_ACTIONS = {
+    **dict.fromkeys(("Node", "LifecycleNode", "ComposableNodeContainer"), "node"),
+    "ComposableNode": "composable_node",
+    "IncludeLaunchDescription": "include",
+    "GroupAction": "group",
+    "PushRosNamespace": "push_ros_namespace",
+    "PushROSNamespace": "push_ros_namespace",
+    "DeclareLaunchArgument": "arg",
+}
 
 
-class LaunchValues:
-    """Values of the names in a launch file: constants, and the defaults of launch arguments.
+def is_python_launch(data: bytes) -> bool:
+    return b"generate_launch_description" in data
 
-    A value that is computed in another way, or has several values, is unknown (``None``).
+
+def read_python(data: bytes, file: str, path: Path) -> facts.LaunchFile:
+    """Reads a Python launch file.  Raises ``UnreadableFileError``."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # such as invalid escapes in the file of others
+            tree = ast.parse(data)
+        children = tuple(_PythonElements(tree, file, path).of(tree))
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        line = f" (line {error.lineno})" if isinstance(error, SyntaxError) else ""
+        raise facts.UnreadableFileError(f"it is not Python{line}") from None
+    return read_xml(Element("launch", {}, children, "", Span(file), (), path), file, path)
+
+
+class _PythonElements:
+    """Makes the elements of a launch file in XML from the calls in a syntax tree.
+
+    Values that are computed in an unknown way, or of names with several values, are ``None``.
     """
 
-    def __init__(self, tree: ast.Module) -> None:
-        self.arguments: dict[str, ast.expr] = {}
+    def __init__(self, tree: ast.Module, file: str, path: Path) -> None:
+        self.file, self.path = file, path
         self.names: dict[str, ast.expr | None] = {}
         for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and call_name(node) == "DeclareLaunchArgument":
-                name = node.args[0] if node.args else keyword(node, "name")
-                default = keyword(node, "default_value")
-                if isinstance(name, ast.Constant) and default is not None:
-                    self.arguments[str(name.value)] = default
-            elif isinstance(node, ast.Assign) and len(node.targets) == 1:
-                target = node.targets[0]
-                if isinstance(target, ast.Name):
-                    is_new = target.id not in self.names
-                    self.names[target.id] = node.value if is_new else None
+            if isinstance(node, ast.Assign) and isinstance(target := node.targets[0], ast.Name):
+                self.names[target.id] = None if target.id in self.names else node.value
             elif isinstance(node, ast.AugAssign) and isinstance(node.target, ast.Name):
                 self.names[node.target.id] = None
+        # What a group contains by its name is read with the group.
+        calls = [n for n in ast.walk(tree) if isinstance(n, ast.Call)]
+        groups = [call for call in calls if call_name(call) == "GroupAction"]
+        self.grouped = {id(action) for group in groups for action in self.actions(group)}
 
-    def value(self, node: ast.expr | None, depth: int = 0) -> Any:
-        """Returns a text, number, flag, list or dict; ``None`` stands for an unknown value."""
-        if node is None or depth > MAX_DEPTH:
-            return None
-        inner = depth + 1
+    def of(self, node: ast.AST) -> list[Element]:
+        """Returns the elements of the calls in a node."""
+        tag = _ACTIONS.get(call_name(node)) if isinstance(node, ast.Call) else None
+        if isinstance(node, ast.Call) and tag is not None:
+            return [self.action(tag, node)]
+        if isinstance(node, ast.Assign) and id(node.value) in self.grouped:
+            return []
+        children = [e for child in ast.iter_child_nodes(node) for e in self.of(child)]
+        if isinstance(node, ast.If | ast.IfExp) and children:
+            span = children[0].span
+            return [self.element("group", span, children, {"if": "?", "scoped": "false"})]
+        return children
+
+    def element(
+        self, tag: str, span: Span, children: list[Element], attributes: Mapping[str, Any]
+    ) -> Element:
+        """Returns an element; attributes that are missing (``None``) are left out."""
+        texts = {name: str(value) for name, value in attributes.items() if value is not None}
+        return Element(tag, texts, tuple(children), "", span, (), self.path)
+
+    def action(self, tag: str, call: ast.Call) -> Element:
+        first = call.args[0] if call.args else None
+        attributes: dict[str, Any] = {"if": "?" if keyword(call, "condition") else None}
+        children: list[Element] = []
+        if tag == "group":
+            attributes["scoped"] = _text(self.value(keyword(call, "scoped")))
+            children = [e for action in self.actions(call) for e in self.of(action)]
+        elif tag == "push_ros_namespace":
+            attributes["namespace"] = self.namespace(first or keyword(call, "namespace"))
+        elif tag == "arg":
+            attributes["name"] = self.value(first or keyword(call, "name"))
+            attributes["default"] = _text(self.value(keyword(call, "default_value")))
+        elif tag == "include":
+            attributes["file"] = _text(self.value(first)) or "$(unknown)"
+            children = self.passed(call)
+        else:
+            plain = {n: self.value(keyword(call, n)) for n in ("package", "executable", "plugin")}
+            attributes |= {
+                "pkg": plain["package"],
+                "exec": plain["executable"] or plain["plugin"],
+                "name": self.value(keyword(call, "name")),
+                "namespace": self.namespace(keyword(call, "namespace")),
+                "args": " ".join(map(str, self.items(keyword(call, "arguments")))),
+            }
+            children = [*self.parameters(call), *self.remappings(call)]
+            nested = keyword(call, "composable_node_descriptions")
+            children += self.of(nested) if nested is not None else []
+        return self.element(tag, _span(call, self.file), children, attributes)
+
+    def actions(self, group: ast.Call) -> list[ast.expr]:
+        """Returns the actions of a group; names stand for the only value that a file gives them."""
+        listed = self.named(group.args[0] if group.args else keyword(group, "actions"))
+        if not isinstance(listed, ast.List | ast.Tuple):
+            return [listed] if listed is not None else []
+        items = [item.value if isinstance(item, ast.Starred) else item for item in listed.elts]
+        return [self.named(item) or item for item in items]
+
+    def named(self, node: ast.expr | None) -> ast.expr | None:
+        known = self.names.get(node.id) if isinstance(node, ast.Name) else None
+        return known if known is not None else node
+
+    def passed(self, include: ast.Call) -> list[Element]:
+        """Returns the arguments in ``launch_arguments``, the items of a dict."""
+        node = keyword(include, "launch_arguments")
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            node = node.func.value
+        node = self.named(node)
+        if not isinstance(node, ast.Dict):
+            return []
+        return [
+            self.element(
+                "arg",
+                _span(value, self.file),
+                [],
+                {"name": self.value(key), "value": self.namespace(value)},
+            )
+            for key, value in zip(node.keys, node.values, strict=True)
+        ]
+
+    def namespace(self, node: ast.expr | None) -> str:
+        """Returns a text; an unknown value is the text of its expression."""
+        value = _text(self.value(node))
+        return value or "" if node is None or value is not None else f"<{ast.unparse(node)[:80]}>"
+
+    def items(self, node: ast.expr | None) -> list[Any]:
+        value = self.value(node)
+        return [item for item in value if item is not None] if isinstance(value, list) else []
+
+    def parameters(self, call: ast.Call) -> Iterator[Element]:
+        listed = self.named(keyword(call, "parameters"))
+        for item in listed.elts if isinstance(listed, ast.List | ast.Tuple) else ():
+            value, span = self.value(item), _span(item, self.file)
+            if isinstance(value, str):
+                yield self.element("param", span, [], {"from": value})
+            spans = {
+                key.value: _span(inner, self.file)
+                for key, inner in zip(item.keys, item.values, strict=True)
+                if isinstance(key, ast.Constant)
+            } if isinstance(item, ast.Dict) else {}  # fmt: skip
+            for name, entry in _flat(value).items():
+                text = "$(unknown)" if entry is None else _text(entry)
+                place = spans.get(name, span)
+                kind = "str" if isinstance(entry, str) else None
+                attributes = {"name": name, "value": text, "type": kind}
+                yield self.element("param", place, [], attributes)
+
+    def remappings(self, call: ast.Call) -> Iterator[Element]:
+        for pair in self.items(keyword(call, "remappings")):
+            if isinstance(pair, list) and len(pair) == 2:
+                names = dict(zip(("from", "to"), pair, strict=True))
+                yield self.element("remap", _span(call, self.file), [], names)
+
+    def value(self, node: ast.expr | None) -> Any:
+        """Returns a text, number, flag, list or dict; ``None`` stands for an unknown value.
+
+        A launch argument is the text ``$(var name)``, as in XML.
+        """
         if isinstance(node, ast.Constant):
             return node.value
         if isinstance(node, ast.Name):
-            return self.value(self.names.get(node.id), inner)
+            return self.value(self.names.get(node.id))
         if isinstance(node, ast.List | ast.Tuple):
-            return [self.value(item, inner) for item in node.elts]
+            return [self.value(item) for item in node.elts]
         if isinstance(node, ast.Dict):
-            keys = [self.value(key, inner) for key in node.keys]
-            values = [self.value(value, inner) for value in node.values]
-            return {k: v for k, v in zip(keys, values, strict=True) if isinstance(k, str)}
+            pairs = [(self.value(k), self.value(v)) for k, v in zip(node.keys, node.values)]  # noqa: B905
+            return {key: value for key, value in pairs if isinstance(key, str)}
+        if isinstance(node, ast.FormattedValue):
+            return self.value(node.value)
         if isinstance(node, ast.JoinedStr):
-            return self.joined(node, inner)
+            parts = [self.value(part) for part in node.values]
+            return None if None in parts else "".join(map(str, parts))
         if isinstance(node, ast.BinOp):
-            left, right = self.value(node.left, inner), self.value(node.right, inner)
-            if isinstance(left, str) and isinstance(right, str):
-                return left + right if isinstance(node.op, ast.Add) else f"{left}/{right}"
-            return None
+            parts = [self.value(node.left), self.value(node.right)]
+            joined = "" if isinstance(node.op, ast.Add) else "/"
+            return joined.join(parts) if all(isinstance(p, str) for p in parts) else None
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
-            number = self.value(node.operand, inner)
+            number = self.value(node.operand)
             return -number if isinstance(number, int | float) else None
-        if isinstance(node, ast.Call):
-            return self.call(node, inner)
-        return None
+        return self.call_value(node) if isinstance(node, ast.Call) else None
 
-    def joined(self, node: ast.JoinedStr, depth: int) -> str | None:
-        parts = [
-            self.value(part.value if isinstance(part, ast.FormattedValue) else part, depth)
-            for part in node.values
-        ]
-        return "".join(map(str, parts)) if all(part is not None for part in parts) else None
-
-    def call(self, node: ast.Call, depth: int) -> Any:
+    def call_value(self, node: ast.Call) -> Any:
         name = call_name(node)
-        first = node.args[0] if node.args else None
+        keywords = ("package", "variable_name", "source_file", "param_file", "launch_file_path")
+        stated = (keyword(node, keyword_name) for keyword_name in keywords)
+        first = self.value(node.args[0] if node.args else next(filter(None, stated), None))
         if name in _PACKAGE_FOLDER:
-            package = self.value(first or keyword(node, "package"), depth)
-            package = package[0] if isinstance(package, list) and len(package) == 1 else package
-            return f"package://{package}" if isinstance(package, str) else None
-        if name in ("join", "joinpath"):
-            parts = [self.value(argument, depth) for argument in node.args]
-            return _joined_path(parts)
-        if name == "PathJoinSubstitution":
-            parts = self.value(first, depth)
-            return _joined_path(parts) if isinstance(parts, list) else None
+            package = _text(first)
+            return f"package://{package}" if package is not None else None
+        if name in ("join", "joinpath", "PathJoinSubstitution"):
+            parts = [self.value(argument) for argument in node.args]
+            texts = list(map(_text, first if name == "PathJoinSubstitution" and first else parts))
+            return None if None in texts else "/".join(str(text).rstrip("/") for text in texts)
         if name == "LaunchConfiguration":
-            argument = self.value(first or keyword(node, "variable_name"), depth)
-            default = self.arguments.get(argument) if isinstance(argument, str) else None
-            return self.value(default or keyword(node, "default"), depth)
-        if name in _WRAPPERS:
-            wrapped = first or keyword(node, "source_file") or keyword(node, "param_file")
-            value = self.value(wrapped or keyword(node, "launch_file_path"), depth)
-            if isinstance(value, list):  # a list of substitutions is joined without separator
-                known = all(isinstance(part, str) for part in value)
-                return "".join(value) if known else None
-            return value
+            return f"$(var {first})"
+        if name in _WRAPPERS:  # a list of substitutions is joined without separator
+            return _text(first) if isinstance(first, list) else first
         return None
-
-
-def _joined_path(parts: list[Any]) -> str | None:
-    flat = [p[0] if isinstance(p, list) and len(p) == 1 else p for p in parts]
-    if not flat or not all(isinstance(part, str) for part in flat):
-        return None
-    return "/".join(part.rstrip("/") for part in flat)
 
 
 def call_name(node: ast.Call) -> str:
@@ -136,52 +250,6 @@ def keyword(node: ast.Call, name: str) -> ast.expr | None:
     return next((k.value for k in node.keywords if k.arg == name), None)
 
 
-def plain_parameters(value: Any) -> Mapping[str, Any]:
-    """Returns the entries of a dict of parameters, with dotted names."""
-    entries: dict[str, Any] = {}
-    if isinstance(value, dict):
-        for name, item in value.items():
-            if isinstance(item, dict):
-                inner = plain_parameters(item)
-                entries.update({f"{name}.{key}": entry for key, entry in inner.items()})
-            else:
-                entries[name] = item
-    return entries
-
-
-_NODES = ("Node", "LifecycleNode", "ComposableNodeContainer", "ComposableNode")
-
-
-def is_python_launch(data: bytes) -> bool:
-    return b"generate_launch_description" in data
-
-
-def read_python(data: bytes, file: str, path: Path) -> facts.LaunchFile:
-    """Reads a Python launch file.  Raises ``UnreadableFileError``."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # such as invalid escapes in the file of others
-            tree = ast.parse(data)
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        line = f" (line {error.lineno})" if isinstance(error, SyntaxError) else ""
-        raise facts.UnreadableFileError(f"it is not Python{line}") from None
-    values = LaunchValues(tree)
-    launch = facts.LaunchFile(file, path)
-    for call, conditional in _calls(tree):
-        name = call_name(call)
-        span = _span(call, file)
-        if name in _NODES:
-            launch.nodes.append(_python_node(call, values, span, conditional))
-        elif name == "IncludeLaunchDescription":
-            source = values.value(call.args[0] if call.args else None)
-            if isinstance(source, list):
-                source = source[0] if len(source) == 1 else None
-            if isinstance(source, str):
-                kind = "conditional include" if conditional else "include"
-                launch.includes.append(facts.Fact(kind, "launch file", source, span))
-    return launch
-
-
 def _span(node: ast.expr, file: str) -> Span:
     end = (node.end_lineno or node.lineno, (node.end_col_offset or node.col_offset) + 1)
     if end[0] != node.lineno:  # only the name of the call, not its many lines
@@ -189,91 +257,34 @@ def _span(node: ast.expr, file: str) -> Span:
     return Span(file, node.lineno, node.col_offset + 1, *end)
 
 
-def _calls(tree: ast.AST) -> Iterator[tuple[ast.Call, bool]]:
-    """Yields all calls, and whether a condition decides on them."""
-    stack: list[tuple[ast.AST, bool]] = [(tree, False)]
-    while stack:
-        node, conditional = stack.pop()
-        if isinstance(node, ast.Call):
-            conditional = conditional or keyword(node, "condition") is not None
-            yield node, conditional
-        conditional = conditional or isinstance(node, ast.If | ast.IfExp)
-        stack += [(child, conditional) for child in reversed(list(ast.iter_child_nodes(node)))]
+def _text(value: Any) -> str | None:
+    """Returns a value as XML has it; the texts of a list are joined."""
+    if isinstance(value, list):
+        texts = list(map(_text, value))
+        return None if None in texts else "".join(map(str, texts))
+    return str(value).lower() if isinstance(value, bool) else None if value is None else str(value)
 
 
-def _python_node(
-    call: ast.Call, values: LaunchValues, span: Span, conditional: bool
-) -> facts.LaunchedNode:
-    def text(name: str) -> str:
-        value = values.value(keyword(call, name))
-        return value if isinstance(value, str) else ""
-
-    parameters: dict[str, facts.Fact] = {}
-    files: list[facts.Fact] = []
-    listed = keyword(call, "parameters")
-    if isinstance(listed, ast.Name):
-        listed = values.names.get(listed.id)
-    for item in listed.elts if isinstance(listed, ast.List | ast.Tuple) else ():
-        value = values.value(item)
-        place = _span(item, span.file)
-        if isinstance(value, str):
-            files.append(facts.Fact("parameter file", text("name"), value, place))
-        for name, entry in plain_parameters(value).items():
-            parameters[name] = facts.Fact("parameter", name, entry, _entry_span(item, name, place))
-    remappings = values.value(keyword(call, "remappings"))
-    return facts.LaunchedNode(
-        package=text("package"),
-        executable=text("executable") or text("plugin"),
-        name=text("name"),
-        namespace=_namespace(call, values),
-        span=span,
-        parameters=parameters,
-        parameter_files=tuple(files),
-        remappings=tuple(_pairs(remappings)),
-        arguments=tuple(_texts(values.value(keyword(call, "arguments")))),
-        conditional=conditional,
-    )
-
-
-def _entry_span(item: ast.expr, name: str, otherwise: Span) -> Span:
-    """Returns the place of a parameter in a dict, if the dict stands in the list itself."""
-    if isinstance(item, ast.Dict):
-        for key, value in zip(item.keys, item.values, strict=True):
-            if isinstance(key, ast.Constant) and key.value == name:
-                return _span(value, otherwise.file)
-    return otherwise
-
-
-def _namespace(call: ast.Call, values: LaunchValues) -> str:
-    node = keyword(call, "namespace")
-    value = values.value(node)
-    if node is None:
-        return ""
-    if isinstance(value, str):
-        return value
-    # Two nodes with the same variable as name space are in the same name space.
-    return f"<{node.id}>" if isinstance(node, ast.Name) else f"<line {node.lineno}>"
-
-
-def _pairs(value: Any) -> Iterator[tuple[str, str]]:
-    for item in value if isinstance(value, list) else ():
-        if isinstance(item, list) and len(item) == 2 and all(isinstance(i, str) for i in item):
-            yield item[0], item[1]
-
-
-def _texts(value: Any) -> list[str]:
-    return [str(v) for v in value if v is not None] if isinstance(value, list) else []
+def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    """Returns the entries of a dict of parameters, with dotted names."""
+    entries: dict[str, Any] = {}
+    for name, item in value.items() if isinstance(value, dict) else ():
+        entries |= (
+            _flat(item, f"{prefix}{name}.") if isinstance(item, dict) else {prefix + name: item}
+        )
+    return entries
 
 
 # -- XML and YAML ------------------------------------------------------------------------
 
 _SUBSTITUTION = re.compile(r"\$\(([\w-]+)\s*([^()]*)\)")
+_PUSHES = ("push-ros-namespace", "push_ros_namespace")
 
 
 def read_xml(root: Element, file: str, path: Path) -> facts.LaunchFile:
     """Reads the element ``<launch>`` of an XML launch file."""
     launch = facts.LaunchFile(file, path)
-    defaults = {
+    defaults = launch.defaults = {
         element.attributes.get("name", ""): element.attributes["default"]
         for element in walk(root)
         if element.tag == "arg" and "default" in element.attributes
@@ -283,22 +294,41 @@ def read_xml(root: Element, file: str, path: Path) -> facts.LaunchFile:
         for child in element.children:
             attributes = child.attributes
             decided = conditional or "if" in attributes or "unless" in attributes
-            if child.tag == "group":
-                pushed = child.find("push-ros-namespace") or child.find("push_ros_namespace")
-                inner = pushed.attributes.get("namespace", "") if pushed is not None else ""
-                collect(child, decided, f"{namespace}/{inner}".strip("/"))
-            elif child.tag == "include":
-                kind = "conditional include" if decided else "include"
+            own = join(namespace, attributes.get("namespace", attributes.get("ns", "")))
+            if child.tag == "include":
                 name = substituted(attributes.get("file", ""), defaults)
                 if name is not None:
-                    launch.includes.append(facts.Fact(kind, "launch file", name, child.span))
+                    fact = facts.Fact("launch file", "launch file", name, child.span)
+                    passed = {
+                        arg.attributes.get("name", ""): arg.attributes.get("value")
+                        for arg in child.children
+                    }
+                    launch.includes.append(facts.LaunchInclude(fact, own, passed, decided))
             elif child.tag in ("node", "composable_node"):
-                launch.nodes.append(_node_of(child, defaults, decided, namespace))
-            else:
+                launch.nodes.append(_node_of(child, defaults, decided, own))
                 collect(child, decided, namespace)
+            elif child.tag not in _PUSHES:
+                pushed = _pushed(child) if attributes.get("scoped") != "false" else ""
+                collect(child, decided, join(own, pushed))
 
-    collect(root, False, "")
+    collect(root, False, _pushed(root))
     return launch
+
+
+def join(*namespaces: str) -> str:
+    """Returns the name space in which name spaces are one inside of the other."""
+    return "/".join(filter(None, (namespace.strip("/") for namespace in namespaces)))
+
+
+def _pushed(element: Element) -> str:
+    """Returns the name space that an element pushes, also in groups without a scope."""
+    names = [
+        child.attributes.get("namespace", "") if child.tag in _PUSHES else _pushed(child)
+        for child in element.children
+        if child.tag in _PUSHES
+        or (child.tag == "group" and child.attributes.get("scoped") == "false")
+    ]
+    return join(*names)
 
 
 def read_yaml(document: Node, file: str, path: Path) -> facts.LaunchFile:
@@ -317,7 +347,7 @@ def _element(tag: str, node: Node, path: Path) -> Element:
     children: list[Element] = []
     for key, value in mapping.items():
         if not isinstance(value.value, tuple | dict):
-            attributes[key] = str(value.value)
+            attributes[key] = _text(value.value) or ""
         for item in value.value if isinstance(value.value, tuple) else ():
             if key not in ("launch", "children"):
                 children.append(_element(key, item, path))
@@ -344,15 +374,15 @@ def _node_of(
         name = child.attributes.get("name", "")
         text = substituted(source or child.attributes.get("value", ""), defaults)
         if not source:
-            parameters[name] = facts.Fact("parameter", name, _scalar(text), child.span)
+            value = text if child.attributes.get("type") == "str" else _scalar(text)
+            parameters[name] = facts.Fact("parameter", name, value, child.span)
         elif text is not None:
             files.append(facts.Fact("parameter file", name, text, child.span))
-    own = attributes.get("namespace", attributes.get("ns", ""))
     return facts.LaunchedNode(
         package=attributes.get("pkg", ""),
         executable=attributes.get("exec", attributes.get("type", attributes.get("plugin", ""))),
         name=attributes.get("name", ""),
-        namespace=f"{namespace}/{own}".strip("/"),
+        namespace=namespace,
         span=element.span,
         parameters=parameters,
         parameter_files=tuple(files),
@@ -366,7 +396,7 @@ def substituted(text: str, defaults: dict[str, str], depth: int = 0) -> str | No
     """Replaces substitutions in a text of a launch file; returns ``None`` if one is unknown."""
     unknown = False
 
-    def replace(match: re.Match[str]) -> str:
+    def value_of(match: re.Match[str]) -> str:
         nonlocal unknown
         kind, argument = match[1], match[2].strip()
         if kind in ("find-pkg-share", "find", "find-pkg-prefix") and argument:
@@ -378,8 +408,8 @@ def substituted(text: str, defaults: dict[str, str], depth: int = 0) -> str | No
         unknown = True
         return ""
 
-    result = _SUBSTITUTION.sub(replace, text)
-    return None if unknown or "$(" in result else result
+    replaced = _SUBSTITUTION.sub(value_of, text)
+    return None if unknown or "$(" in replaced else replaced
 
 
 def _scalar(text: str | None) -> Any:
@@ -401,18 +431,37 @@ MAX_LAUNCH_FILES = 200
 def launched_nodes(
     launch: facts.LaunchFile, evidence: facts.Evidence
 ) -> Iterator[facts.LaunchedNode]:
-    """Yields the nodes of a launch file and of the files that it includes without condition."""
+    """Yields the nodes of a launch file and of the files that it includes without condition.
+
+    Their name spaces are complete; an argument of unknown value is a name space of its own.
+    """
     by_path = {os.path.realpath(other.path): other for other in evidence.launches}
-    open_files, known = [launch], {os.path.realpath(launch.path)}
+    open_files: list[tuple[facts.LaunchFile, str, dict[str, str]]] = [(launch, "", {})]
+    known: set[tuple[str, str, str]] = set()
     while open_files and len(known) < MAX_LAUNCH_FILES:
-        current = open_files.pop()
-        yield from current.nodes
+        current, outer, passed = open_files.pop()
+        values = {**current.defaults, **passed}
+        for node in current.nodes:
+            yield replace(node, namespace=join(outer, _filled(node.namespace, values)))
         for include in current.includes:
-            path = resolved(include, current, evidence)
+            path = resolved(include.file, current, evidence)
             real = os.path.realpath(path) if path is not None else ""
-            if include.kind == "include" and real in by_path and real not in known:
-                known.add(real)
-                open_files.append(by_path[real])
+            namespace = join(outer, _filled(include.namespace, values))
+            arguments = {
+                name: _filled(value or f"<{name}>", values)
+                for name, value in include.arguments.items()
+            }
+            key = (real, namespace, str(arguments))
+            if not include.conditional and real in by_path and key not in known:
+                known.add(key)
+                open_files.append((by_path[real], namespace, arguments))
+
+
+_VARIABLE = re.compile(r"\$\((?:var|arg)\s+([\w-]+)\s*\)")
+
+
+def _filled(text: str, values: Mapping[str, str]) -> str:
+    return _VARIABLE.sub(lambda match: values.get(match[1], f"<{match[1]}>"), text)
 
 
 def resolved(fact: facts.Fact, launch: facts.LaunchFile, evidence: facts.Evidence) -> Path | None:

@@ -1,4 +1,4 @@
-"""Reads MJCF files to descriptions: bodies, joints with their defaults, geoms, sites, actuators.
+"""Converts MJCF files to URDF elements: bodies, joints with their defaults, geoms.
 
 Numbers that MuJoCo computes, such as masses from densities, are left out.
 """
@@ -11,25 +11,26 @@ from dataclasses import replace
 from pathlib import Path
 
 from thorvaldc.compiler.extras.xacro_expand import Element
-from thorvaldc.diagnostics import Report, did_you_mean
+from thorvaldc.diagnostics import Report
 from thorvaldc.model import Pose, Vec3, spatial
-from thorvaldc.tools.audit.audit_facts import Body, BodyJoint, Description, Fact, SolidShape
-from thorvaldc.tools.audit.descriptions import numbers, vector
+from thorvaldc.tools.audit.audit_facts import FileDescription
+from thorvaldc.tools.audit.descriptions import UrdfElements, numbers, read_description, vector
 
 Include = Callable[[str, Element], Element | None]
 MAX_INCLUDES = 50
-_JOINT_REFERENCES = ("joint", "joint1", "joint2", "jointinparent")
 
 
 def read_mjcf_description(
     root: Element, file: str, path: Path, include: Include, report: Report
-) -> Description | None:
+) -> FileDescription | None:
     """Returns the robot of a ``<mujoco>`` document, or ``None`` if it has no bodies with joints.
 
     - ``include``: function that returns the root element of an included file, or ``None``.
     """
-    reader = _Reader(Description("MJCF", root.attributes.get("model", Path(file).name), file, path))
+    name = root.attributes.get("model", Path(file).name)
+    description = FileDescription(format="MJCF", name=name, file=file, path=path)
     sections = _with_includes(root, include, [0]).children
+    reader = _Reader()
     for section in sections:
         if section.tag == "compiler":
             reader.read_compiler(section)
@@ -38,10 +39,8 @@ def read_mjcf_description(
     for section in sections:
         if section.tag == "worldbody":
             reader.children(section, "", "main", Pose())
-    for section in sections if reader.is_complete else ():
-        if section.tag in ("actuator", "sensor", "equality", "tendon"):
-            reader.read_references(section, report)
-    description = reader.description
+    read_description(description, reader.elements, report)
+    description.frames = reader.frames
     return description if description.joints else None
 
 
@@ -60,12 +59,14 @@ def _with_includes(element: Element, include: Include, count: list[int]) -> Elem
 
 
 class _Reader:
-    def __init__(self, description: Description) -> None:
-        self.description = description
+    """Collects the URDF elements of the bodies; the frame of a body lies at its first joint."""
+
+    def __init__(self) -> None:
+        self.elements: list[Element] = []
+        self.frames: set[str] = set()
         self.angle = math.pi / 180.0
         self.sequence = "xyz"
         self.defaults: dict[str, dict[str, dict[str, str]]] = {"main": {}}
-        self.is_complete = True
 
     def read_compiler(self, element: Element) -> None:
         if element.attributes.get("angle") == "radian":
@@ -87,163 +88,137 @@ class _Reader:
         """Returns the attributes of an element with those of its default class."""
         chosen = element.attributes.get("class", class_name)
         values = self.defaults.get(chosen, self.defaults["main"])
-        tag = "joint" if element.tag == "freejoint" else element.tag
-        return {**values.get(tag, {}), **element.attributes}
-
-    # -- bodies -----------------------------------------------------------------------
+        return {**values.get(element.tag, {}), **element.attributes}
 
     def pose(self, attributes: dict[str, str]) -> Pose:
         position = vector(attributes.get("pos"))
         quat = numbers(attributes.get("quat"), 4)
         if quat is not None and any(quat):
             return Pose(position, spatial.quat_normalize((quat[0], quat[1], quat[2], quat[3])))
-        axis_angle = numbers(attributes.get("axisangle"), 4)
-        if axis_angle is not None and any(axis_angle[:3]):
-            axis = (axis_angle[0], axis_angle[1], axis_angle[2])
-            return Pose(
-                position, spatial.quat_from_axis_angle(_unit(axis), axis_angle[3] * self.angle)
+        rotation = (1.0, 0.0, 0.0, 0.0)
+        euler = numbers(attributes.get("euler"), 3) or ()
+        for letter, value in zip(self.sequence, euler, strict=False):
+            turn = spatial.quat_from_axis_angle(
+                _AXES.get(letter.lower(), (1.0, 0.0, 0.0)), value * self.angle
             )
-        euler = numbers(attributes.get("euler"), 3)
-        if euler is not None:
-            rotation = (1.0, 0.0, 0.0, 0.0)
-            for letter, value in zip(self.sequence, euler, strict=False):
-                axis = _AXES.get(letter.lower(), (1.0, 0.0, 0.0))
-                turn = spatial.quat_from_axis_angle(axis, value * self.angle)
-                intrinsic = letter.islower()
-                rotation = (
-                    spatial.quat_multiply(rotation, turn)
-                    if intrinsic
-                    else spatial.quat_multiply(turn, rotation)
-                )
-            return Pose(position, spatial.quat_normalize(rotation))
-        z_axis = vector(attributes.get("zaxis"))
-        if any(z_axis):
-            return Pose(position, spatial.quat_from_z_to(_unit(z_axis)))
-        return Pose(position)
+            # Small letters are axes that turn with the frame.
+            pair = (rotation, turn) if letter.islower() else (turn, rotation)
+            rotation = spatial.quat_multiply(*pair)
+        return Pose(position, spatial.quat_normalize(rotation))
 
-    def children(self, element: Element, owner: str, class_name: str, offset: Pose) -> None:
-        """Reads the elements in a body, or in a ``<frame>`` at the pose ``offset`` in the body."""
+    def children(
+        self, element: Element, owner: str, class_name: str, offset: Pose
+    ) -> list[Element]:
+        """Reads the elements in a body, or in a ``<frame>`` at the pose ``offset`` in the body.
+
+        Returns the URDF elements of the link; those of the bodies inside are collected.
+        """
         class_name = element.attributes.get("childclass", class_name)
+        parts: list[Element] = []
         for child in element.children:
             if child.tag == "body":
                 self.body(child, owner, class_name, offset)
             elif child.tag == "frame":
-                self.children(child, owner, class_name, offset * self.pose(child.attributes))
-            elif child.tag == "geom" and owner:
-                self.geom(child, owner, class_name, offset)
+                inner = offset * self.pose(child.attributes)
+                parts += self.children(child, owner, class_name, inner)
+            elif child.tag == "geom":
+                parts += self.geom(child, class_name, offset)
             elif child.tag in ("site", "camera"):
-                self.description.frames.add(child.attributes.get("name", ""))
-            elif child.tag == "inertial" and owner:
-                self.inertial(child, owner)
-            elif child.tag in ("attach", "replicate", "composite", "flexcomp", "include"):
-                self.is_complete = False  # MuJoCo makes bodies with names of their own
+                self.frames.add(child.attributes.get("name", ""))
+            elif child.tag == "inertial":
+                parts += _inertial(child)
+        return parts
 
     def body(self, element: Element, parent: str, class_name: str, offset: Pose) -> None:
-        name = element.attributes.get("name") or f"body at line {element.span.line}"
-        self.description.bodies.setdefault(name, Body(name, element.span))
+        name = element.attributes.get("name") or f"body at {_place(element)}"
         class_name = element.attributes.get("childclass", class_name)
-        pose = offset * self.pose(element.attributes)
-        joints = [child for child in element.children if child.tag in ("joint", "freejoint")]
-        for index, child in enumerate(joints):
+        joints = [
+            (child, self.attributes(child, class_name))
+            for child in element.children
+            if child.tag in ("joint", "freejoint")
+        ]
+        anchor = Pose(vector(joints[0][1].get("pos"))) if joints else Pose()
+        pose = offset * self.pose(element.attributes) * anchor
+        for index, (child, attributes) in enumerate(joints):
             # With several joints, the first connects the body; the others get places of their own.
-            inner = self.joint(child, parent if index == 0 else "", name, class_name, pose)
-            self.description.joints.setdefault(inner.name, inner)
+            self.joint(child, attributes, parent if index == 0 else "", name, pose)
         if not joints and parent:
             fixed = f"fixed joint of {name}"
-            joint = BodyJoint(fixed, "fixed", parent, name, element.span, pose)
-            self.description.joints[fixed] = joint
-        self.children(element, name, class_name, Pose())
+            self.elements.append(UrdfElements(element).joint(fixed, "fixed", parent, name, pose))
+        link = len(self.elements)
+        parts = self.children(element, name, class_name, anchor.inverse())
+        self.elements.insert(link, UrdfElements(element).element("link", *parts, name=name))
 
     def joint(
-        self, element: Element, parent: str, child: str, class_name: str, pose: Pose
-    ) -> BodyJoint:
-        attributes = self.attributes(element, class_name)
+        self, element: Element, attributes: dict[str, str], parent: str, child: str, pose: Pose
+    ) -> None:
         kind = "free" if element.tag == "freejoint" else attributes.get("type", "hinge")
-        name = element.attributes.get("name") or f"joint at line {element.span.line}"
-        joint = BodyJoint(
-            *(name, _KINDS.get(kind, kind), parent, child, element.span, pose),
-            axis=vector(attributes.get("axis"), (0.0, 0.0, 1.0)),
-            anchor=vector(attributes.get("pos")),
+        name = element.attributes.get("name") or f"joint at {_place(element)}"
+        limits = numbers(attributes.get("range"), 2) or ()
+        if attributes.get("limited", "auto") == "false":
+            limits = ()
+        factor = self.angle if kind == "hinge" else 1.0
+        axis = vector(attributes.get("axis"), (0.0, 0.0, 1.0))
+        joint = UrdfElements(element).joint(
+            *(name, _KINDS.get(kind, kind), parent or WORLD, child, pose, axis),
+            [factor * limit for limit in limits],
         )
-        limits = numbers(attributes.get("range"), 2)
-        if limits is not None and attributes.get("limited", "auto") != "false":
-            factor, unit = (self.angle, "rad") if kind == "hinge" else (1.0, "m")
-            for quantity, value in zip(("lower", "upper"), limits, strict=True):
-                fact = Fact(quantity, name, value * factor, element.span, unit)
-                joint.limits[quantity] = fact
-        return joint
+        self.elements.append(joint)
 
-    def inertial(self, element: Element, owner: str) -> None:
-        body = self.description.bodies[owner]
-        mass = numbers(element.attributes.get("mass"), 1)
-        body.mass, body.mass_span = mass[0] if mass else None, element.span
-        diagonal = numbers(element.attributes.get("diaginertia"), 3)
-        full = numbers(element.attributes.get("fullinertia"), 6)
-        if diagonal is not None:
-            body.inertia, body.inertia_span = (*diagonal, 0.0, 0.0, 0.0), element.span
-        elif full is not None:
-            body.inertia, body.inertia_span = full, element.span
-
-    def geom(self, element: Element, owner: str, class_name: str, offset: Pose) -> None:
+    def geom(self, element: Element, class_name: str, offset: Pose) -> list[Element]:
+        """Returns the shape of a geom; a capsule and a tyre become cylinders."""
         attributes = self.attributes(element, class_name)
         kind = attributes.get("type", "mesh" if "mesh" in attributes else "sphere")
-        sizes = tuple(float(v) for v in attributes.get("size", "").split() if _is_number(v))
+        words = attributes.get("size", "").split()
+        size = numbers(" ".join(words), len(words)) or ()
         pose = self.pose(attributes)
         ends = numbers(attributes.get("fromto"), 6)
-        if ends is not None and sizes:
+        if ends is not None and size:
             start, end = (ends[0], ends[1], ends[2]), (ends[3], ends[4], ends[5])
             along = spatial.sub(end, start)
             if spatial.norm(along) > 0.0:
                 middle = spatial.scale(0.5, spatial.add(start, end))
                 pose = Pose(middle, spatial.quat_from_z_to(_unit(along)))
-                sizes = (sizes[0], spatial.norm(along) / 2.0)
-        collides = (
-            attributes.get("contype", "1") != "0" or attributes.get("conaffinity", "1") != "0"
-        )
-        size: tuple[float, ...]
-        mesh = ""
-        if kind == "box" and len(sizes) == 3:
-            size = tuple(2.0 * s for s in sizes)
-        elif kind in ("cylinder", "capsule") and len(sizes) >= 2:
-            size = (sizes[0], 2.0 * sizes[1])
-        elif kind == "sphere" and sizes:
-            size = sizes[:1]
-        elif kind == "ellipsoid" and len(sizes) == 3:
-            size = sizes
-            if math.isclose(size[0], size[1]):  # a tyre: an ellipsoid of revolution
-                kind, size = "tyre", (sizes[0], 2.0 * sizes[2])
-        elif kind == "mesh":
-            size, mesh = (1.0, 1.0, 1.0), attributes.get("mesh", "")
+                size = (size[0], spatial.norm(along) / 2.0)
+        values: dict[str, str] = {}
+        if kind == "box" and len(size) == 3:
+            values = {"size": " ".join(repr(2.0 * edge) for edge in size)}
+        elif kind in ("cylinder", "capsule") and len(size) >= 2:
+            kind, values = "cylinder", {"radius": repr(size[0]), "length": repr(2.0 * size[1])}
+        elif kind == "sphere" and size:
+            values = {"radius": repr(size[0])}
+        elif kind == "ellipsoid" and len(size) == 3 and math.isclose(size[0], size[1]):
+            kind, values = "cylinder", {"radius": repr(size[0]), "length": repr(2.0 * size[2])}
+        elif kind in ("mesh", "ellipsoid"):
+            kind, values = "mesh", {"filename": attributes.get("mesh", kind)}
         else:
-            return
-        shape = SolidShape(kind, size, offset * pose, collides, element.span, mesh)
-        self.description.bodies[owner].shapes.append(shape)
-
-    # -- references -------------------------------------------------------------------
-
-    def read_references(self, section: Element, report: Report) -> None:
-        """Reports joints of actuators, sensors and constraints that do not exist."""
-        known = self.description.joints
-        for element in section.children:
-            for attribute in _JOINT_REFERENCES:
-                name = element.attributes.get(attribute)
-                if name is None or name in known:
-                    continue
-                subject = f"<{element.tag}> `{element.attributes.get('name', '')}`"
-                report.add(
-                    "audit-joint-unknown",
-                    f"{subject} names joint `{name}`, which the file does not have",
-                    element.span,
-                    hint=did_you_mean(name, known, fixable=False),
-                )
+            return []
+        collides = any(attributes.get(name, "1") != "0" for name in ("contype", "conaffinity"))
+        urdf = UrdfElements(element)
+        geometry = urdf.element("geometry", urdf.element(kind, **values))
+        tag = "collision" if collides else "visual"
+        return [urdf.element(tag, urdf.origin(offset * pose), geometry)]
 
 
+WORLD = "world"
 _AXES: dict[str, Vec3] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-_KINDS = {"hinge": "revolute", "slide": "prismatic"}
+_KINDS = {"hinge": "revolute", "slide": "prismatic", "free": "floating"}
+_MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
-def _is_number(text: str) -> bool:
-    return numbers(text, 1) is not None
+def _inertial(element: Element) -> list[Element]:
+    """Returns the mass and the inertia, if both are stated."""
+    inertia = element.attributes.get("diaginertia", element.attributes.get("fullinertia", ""))
+    mass, urdf = element.attributes.get("mass"), UrdfElements(element)
+    if mass is None or not inertia:
+        return []
+    moments = dict(zip(_MOMENTS, inertia.split(), strict=False))
+    parts = (urdf.element("mass", value=mass), urdf.element("inertia", **moments))
+    return [urdf.element("inertial", *parts)]
+
+
+def _place(element: Element) -> str:
+    return f"{element.span.file}, line {element.span.line}, column {element.span.column}"
 
 
 def _unit(a: Vec3) -> Vec3:

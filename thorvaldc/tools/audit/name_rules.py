@@ -1,4 +1,4 @@
-"""Rules about names: joints, files, controllers, CAN nodes and frames that files name must exist.
+"""Rules about names: joints, files and frames that files name must exist.
 
 Each transform has one owner.
 """
@@ -7,15 +7,15 @@ from __future__ import annotations
 
 from thorvaldc.diagnostics import Label, Report, did_you_mean
 from thorvaldc.tools.audit.audit_facts import (
-    Description,
     Evidence,
     Fact,
+    FileDescription,
     LaunchedNode,
     closest,
     is_nearer,
 )
 from thorvaldc.tools.audit.launch_files import launched_nodes, resolved
-from thorvaldc.tools.audit.parameter_files import is_drive_controller, published_frames
+from thorvaldc.tools.audit.parameter_files import published_frames
 
 
 def check_joint_names(evidence: Evidence, report: Report) -> None:
@@ -38,8 +38,8 @@ def check_joint_names(evidence: Evidence, report: Report) -> None:
                 _report_joint(fact, related[0], report)
 
 
-def _report_joint(fact: Fact, description: Description, report: Report) -> None:
-    known = [joint.name for joint in description.joints.values() if joint.kind != "fixed"]
+def _report_joint(fact: Fact, description: FileDescription, report: Report) -> None:
+    known = [joint.name for joint in description.joints.values() if joint.type != "fixed"]
     some = ", ".join(f"`{name}`" for name in known[:6])
     report.add(
         "audit-joint-unknown",
@@ -57,7 +57,8 @@ def _report_joint(fact: Fact, description: Description, report: Report) -> None:
 def check_launched_files(evidence: Evidence, report: Report) -> None:
     """Reports parameter files and launch files that do not exist in their package."""
     for launch in evidence.launches:
-        files = [*launch.includes, *(f for node in launch.nodes for f in node.parameter_files)]
+        includes = [include.file for include in launch.includes]
+        files = [*includes, *(f for node in launch.nodes for f in node.parameter_files)]
         for fact in files:
             path = resolved(fact, launch, evidence)
             is_local = str(fact.value).startswith("package://")
@@ -66,72 +67,12 @@ def check_launched_files(evidence: Evidence, report: Report) -> None:
             except (OSError, ValueError):
                 is_missing = True
             if is_missing:
-                what = "launch file" if fact.kind.endswith("include") else fact.kind
                 report.add(
                     "audit-file-missing",
-                    f"the {what} `{str(fact.value).removeprefix('package://')}` does not exist",
+                    f"the {fact.kind} `{fact.value.removeprefix('package://')}` does not exist",
                     fact.span,
                     hint="paths of packages begin with the folder that the package installs",
                 )
-
-
-def check_controller_sections(evidence: Evidence, report: Report) -> None:
-    """Reports parameters of a drive controller that no controller manager loads."""
-    for section in evidence.sections:
-        if not is_drive_controller(section) or section.short_name in ("**", "*"):
-            continue
-        if "type" in section.values:  # its spawner passes the section with the type
-            continue
-        managers = [
-            other
-            for other in evidence.sections
-            if other.file == section.file and other.short_name == "controller_manager"
-        ]
-        declared = [
-            name.removesuffix(".type")
-            for manager in managers
-            for name in manager.values
-            if name.endswith(".type")
-        ]
-        if declared and section.short_name not in declared:
-            loaded = f"it loads {', '.join(f'`{name}`' for name in declared[:6])}"
-            report.add(
-                "audit-section-unused",
-                f"the controller manager of this file loads no controller `{section.short_name}`,"
-                " so nobody reads these parameters",
-                section.span,
-                hint=did_you_mean(section.short_name, declared, loaded, fixable=False),
-                labels=[Label(managers[0].span, "the controller manager")],
-            )
-
-
-def check_node_ids(evidence: Evidence, report: Report) -> None:
-    """Reports CANopen node ids that occur twice on a bus, or differ from ``<ros2_control>``."""
-    by_file: dict[str, dict[int, Fact]] = {}
-    for fact in evidence.stated("bus node id"):
-        first = by_file.setdefault(fact.span.file, {}).setdefault(fact.value, fact)
-        if first is not fact:
-            report.add(
-                "audit-node-id",
-                f"{fact.subject} and {first.subject} have the node id {fact.value} on one bus",
-                fact.span,
-                hint="give each device an id of its own",
-                labels=[Label(first.span, "the other device")],
-            )
-    known = {node_id for ids in by_file.values() for node_id in ids}
-    for _, fact in evidence.described("node id"):
-        try:
-            node_id = int(str(fact.value).strip(), 0)
-        except ValueError:
-            continue
-        if known and node_id not in known:
-            files = ", ".join(f"`{file}`" for file in by_file)
-            report.add(
-                "audit-node-id",
-                f"joint `{fact.names[0]}` uses the node id {node_id}, which {files} does not have",
-                fact.span,
-                hint=f"the ids there are {', '.join(map(str, sorted(known)))}",
-            )
 
 
 # -- frames and transforms --------------------------------------------------------------
@@ -141,7 +82,7 @@ def check_frames(evidence: Evidence, report: Report) -> None:
     """Reports frames of the robot that no description has and no node publishes."""
     published = published_frames(evidence)
     known = published | {
-        name for d in evidence.descriptions for name in (*d.bodies, *d.frames, *d.joints)
+        name for d in evidence.descriptions for name in (*d.links, *d.frames, *d.joints)
     }
     for _, fact in evidence.described("gazebo reference"):
         if fact.value not in known:

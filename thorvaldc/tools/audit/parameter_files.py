@@ -15,7 +15,6 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.tools.audit.audit_facts import Evidence, Fact, ParameterSection, UnreadableFileError
 
 _KEY = "ros__parameters"
-MAX_PARAMETERS = 20_000
 
 
 def read_yaml(data: bytes, display: str, report: Report) -> Node | None:
@@ -48,44 +47,38 @@ class _Converter:
         self.count = 0
         self.ignored = Report()  # words such as `yes`: readers of ROS know them
 
-    def span(self, raw: Any) -> Span:
-        start, end = raw.start_mark, raw.end_mark
-        if raw.id != "scalar":
-            return Span(
-                self.file, start.line + 1, start.column + 1, start.line + 1, start.column + 2
-            )
-        return Span(self.file, start.line + 1, start.column + 1, end.line + 1, end.column + 1)
-
     def node(self, raw: Any, key_span: Span | None, depth: int) -> Node:
         self.count += 1
         if self.count > MAX_VALUES or depth > MAX_DEPTH:  # also an alias that contains itself
             raise OverflowError
-        span = self.span(raw)
+        line, column = raw.start_mark.line + 1, raw.start_mark.column + 1
+        span = Span(self.file, line, column, line, column + 1)
         if raw.id == "scalar":
+            end = raw.end_mark
+            span = Span(self.file, line, column, end.line + 1, end.column + 1)
             value = raw.value if raw.style else plain_scalar(raw.value, span, self.ignored)
             return Node(value, span, key_span, bool(raw.style))
         if raw.id == "sequence":
             return Node(tuple(self.node(v, None, depth + 1) for v in raw.value), span, key_span)
         values: dict[str, Node] = {}
         for raw_key, raw_value in raw.value:
-            key = str(raw_key.value) if raw_key.id == "scalar" else ""
-            value = self.node(raw_value, self.span(raw_key), depth + 1)
-            if key == "<<" and isinstance(value.value, dict):
+            key = self.node(raw_key, None, depth + 1)
+            value = self.node(raw_value, key.span, depth + 1)
+            if raw_key.value == "<<" and isinstance(value.value, dict):
                 values = {**value.value, **values}
-            elif key in values:
-                values[key] = self.merged(key, values[key], value)
             else:
-                values[key] = value
+                self.add(values, str(raw_key.value), value)
         return Node(values, span, key_span)
 
-    def merged(self, key: str, first: Node, last: Node) -> Node:
-        """Returns the value of a key that occurs twice in one mapping."""
-        if isinstance(first.value, dict) and isinstance(last.value, dict):
-            values = dict(first.value)
+    def add(self, values: dict[str, Node], key: str, last: Node) -> None:
+        """Adds the value of a key that can occur twice in one mapping."""
+        first = values.get(key, last)
+        if first is not last and isinstance(first.value, dict) and isinstance(last.value, dict):
+            merged = dict(first.value)
             for name, value in last.value.items():
-                values[name] = self.merged(name, values[name], value) if name in values else value
-            return Node(values, first.span, first.key_span)
-        if first.plain() != last.plain() and first.key_span != last.key_span:
+                self.add(merged, name, value)
+            last = Node(merged, first.span, first.key_span)
+        elif first.plain() != last.plain() and first.key_span != last.key_span:
             self.report.add(
                 "audit-key-twice",
                 f"the key `{key}` occurs twice with different values; ROS uses the last one",
@@ -93,7 +86,7 @@ class _Converter:
                 hint="keep one of them",
                 labels=[Label(first.where, "first used here")],
             )
-        return last
+        values[key] = last
 
 
 def sections(document: Node, display: str, path: Path) -> list[ParameterSection]:
@@ -114,38 +107,14 @@ def sections(document: Node, display: str, path: Path) -> list[ParameterSection]
     return result
 
 
-def flattened(node: Node) -> dict[str, Node]:
+def flattened(node: Node, prefix: str = "") -> dict[str, Node]:
     """Returns the parameters of a node by their dotted names; lists stay lists."""
+    if not isinstance(node.value, dict):
+        return {prefix: node}
     values: dict[str, Node] = {}
-
-    def collect(inner: Node, prefix: str) -> None:
-        if isinstance(inner.value, dict):
-            for key, child in inner.value.items():
-                collect(child, f"{prefix}.{key}" if prefix else key)
-        elif len(values) < MAX_PARAMETERS:
-            values[prefix] = inner
-
-    collect(node, "")
+    for key, child in node.value.items():
+        values |= flattened(child, f"{prefix}.{key}" if prefix else key)
     return values
-
-
-def bus_facts(document: Node) -> list[Fact]:
-    """Returns the CANopen node ids in a bus.yml of ros2_canopen, by the name of the device."""
-    if not isinstance(document.value, dict) or "master" not in document.value:
-        return []
-    facts: list[Fact] = []
-
-    def collect(node: Node, name: str, depth: int) -> None:
-        node_id = node.get("node_id")
-        if node_id is not None and isinstance(node_id.value, int):
-            facts.append(Fact("bus node id", f"`{name}`", node_id.value, node_id.span, "", (name,)))
-        elif isinstance(node.value, dict) and depth < 3 and name not in ("options", "defaults"):
-            for key, child in node.value.items():
-                collect(child, key, depth + 1)
-
-    for key, child in document.value.items():
-        collect(child, key, 0)
-    return facts
 
 
 # -- statements about wheels and joints -------------------------------------------------

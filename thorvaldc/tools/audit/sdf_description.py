@@ -1,0 +1,169 @@
+"""Converts models in SDF to URDF elements."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+from thorvaldc.compiler.extras.xacro_expand import Element
+from thorvaldc.diagnostics import Report
+from thorvaldc.model import Pose, Vec3
+from thorvaldc.model.spatial import scale
+from thorvaldc.tools.audit.audit_facts import FileDescription
+from thorvaldc.tools.audit.descriptions import (
+    UrdfElements,
+    check_tree,
+    numbers,
+    plugin_facts,
+    read_description,
+    vector,
+)
+
+_DEFAULT_MOMENTS = {"ixx": "1", "iyy": "1", "izz": "1"}
+_NO_LIMITS = {"lower": "-1e16", "upper": "1e16", "velocity": "1e16", "effort": "1e16"}
+
+
+def read_sdf(root: Element, file: str, path: Path, report: Report) -> list[FileDescription]:
+    """Returns the models with joints in an ``<sdf>`` document; scenery has none."""
+    return [
+        _Model(model).description(file, path, report)
+        for model in _models(root)
+        if any(child.tag == "joint" for child in model.children)
+    ]
+
+
+def _models(element: Element) -> Iterator[Element]:
+    for child in element.children:
+        if child.tag == "model":
+            yield child
+        if child.tag in ("model", "world"):
+            yield from _models(child)
+
+
+def _values(element: Element | None) -> dict[str, str]:
+    """Returns the texts of the child elements, which are attributes in URDF."""
+    children = element.children if element is not None else ()
+    return {child.tag: child.text for child in children if child.text}
+
+
+class _Model:
+    """One ``<model>``; poses may be relative to other links, joints and frames.
+
+    The frame of a link lies at its joint, as in URDF.
+    """
+
+    def __init__(self, model: Element) -> None:
+        self.model = model
+        self.links = {self.name(e): e for e in model.children if e.tag == "link"}
+        self.joints = [e for e in model.children if e.tag == "joint"]
+        frames = {self.name(e): e for e in model.children if e.tag == "frame"}
+        self.named = {**frames, **{self.name(e): e for e in self.joints}, **self.links}
+        self.frames = {*frames, *(self.name(s) for link in self.links.values()
+                                  for s in link.children if s.tag == "sensor")}  # fmt: skip
+        self.anchors: dict[str, Vec3] = {}
+        for joint in self.joints:
+            child = self.named.get(_values(joint).get("child", ""))
+            if child is not None:
+                X_CJ = self.pose(child).inverse() * self.pose(joint)
+                self.anchors.setdefault(self.name(child), X_CJ.xyz)
+
+    def name(self, element: Element) -> str:
+        return element.attributes.get("name", "")
+
+    def description(self, file: str, path: Path, report: Report) -> FileDescription:
+        name = self.model.attributes.get("name", Path(file).name)
+        description = FileDescription(format="SDF", name=name, file=file, path=path)
+        description.frames = self.frames
+        for plugin in self.model.children:
+            description.facts += plugin_facts(plugin) if plugin.tag == "plugin" else []
+        elements = [self.link(e) for e in self.model.children if e.tag == "link"]
+        joints = [self.joint(joint) for joint in self.joints]
+        read_description(description, [*elements, *joints], report)
+        # Links of models inside of this one are not read.
+        ends = (end for j in description.joints.values() for end in (j.parent, j.child))
+        check_tree(description, report, [*self.named, "world", *(e for e in ends if "::" in e)])
+        for joint in list(description.joints.values()):
+            if joint.child not in description.links:
+                del description.joints[joint.name]
+        return description
+
+    def pose(self, element: Element, depth: int = 0) -> Pose:
+        """Returns the pose of a link, joint or frame in the frame of the model."""
+        own = element.find("pose")
+        attributes = own.attributes if own is not None else {}
+        values = numbers(own.text, 6) if own is not None else None
+        pose = Pose()
+        if values is not None:
+            rpy: Vec3 = (values[3], values[4], values[5])
+            if attributes.get("degrees") == "true":
+                rpy = scale(math.radians(1.0), rpy)
+            pose = Pose.from_xyz_rpy((values[0], values[1], values[2]), rpy)
+        reference = attributes.get("relative_to", "")
+        if not reference and element.tag == "joint":
+            reference = _values(element).get("child", "")
+        if not reference and element.tag == "frame":
+            reference = element.attributes.get("attached_to", "")
+        if reference in self.named and depth < 30:
+            return self.pose(self.named[reference], depth + 1) * pose
+        return pose
+
+    def link_pose(self, link: str) -> Pose:
+        """Returns the pose of the frame of a link at its joint in the frame of the model."""
+        pose = self.pose(self.named[link]) if link in self.named else Pose()
+        return pose * Pose(self.anchors.get(link, (0.0, 0.0, 0.0)))
+
+    def link(self, element: Element) -> Element:
+        name = self.name(element)
+        X_LS = Pose(scale(-1.0, self.anchors.get(name, (0.0, 0.0, 0.0))))
+        parts: list[Element] = []
+        for child in element.children:
+            urdf, geometry = UrdfElements(child), child.find("geometry")
+            if child.tag == "inertial":
+                parts.append(self.inertial(child))
+            elif child.tag in ("visual", "collision") and geometry is not None:
+                shapes = [_shape(shape) for shape in geometry.children]
+                origin = urdf.origin(X_LS * self.pose(child))
+                parts.append(urdf.element(child.tag, origin, urdf.element("geometry", *shapes)))
+        return UrdfElements(element).element("link", *parts, name=name)
+
+    def inertial(self, element: Element) -> Element:
+        parts: list[Element] = []
+        mass, inertia = element.find("mass"), element.find("inertia")
+        if mass is not None and inertia is not None:
+            moments = {**_DEFAULT_MOMENTS, **_values(inertia)}
+            parts.append(UrdfElements(mass).element("mass", value=mass.text))
+            parts.append(UrdfElements(inertia).element("inertia", **moments))
+        return UrdfElements(element).element("inertial", *parts)
+
+    def joint(self, element: Element) -> Element:
+        values = _values(element)
+        parent, child = values.get("parent", ""), values.get("child", "")
+        X_MC, X_MP = self.link_pose(child), self.link_pose(parent)
+        axis_element = element.find("axis")
+        xyz = axis_element.find("xyz") if axis_element is not None else None
+        axis = vector(xyz.text if xyz is not None else None, (0.0, 0.0, 1.0))
+        frame = xyz.attributes.get("expressed_in", "") if xyz is not None else ""
+        X_MA = self.pose(self.named.get(frame, element)) if frame != "__model__" else Pose()
+        limit = axis_element.find("limit") if axis_element is not None else None
+        texts = {**_NO_LIMITS, **_values(limit)}
+        stated = [(numbers(texts[name], 1) or (math.inf,))[0] for name in _NO_LIMITS]
+        return UrdfElements(element).joint(
+            self.name(element),
+            element.attributes.get("type", ""),
+            parent,
+            child,
+            X_MP.inverse() * X_MC,
+            X_MC.inverse().rotate(X_MA.rotate(axis)),
+            stated,
+            limit,
+        )
+
+
+def _shape(shape: Element) -> Element:
+    """Returns a shape of URDF; a capsule becomes a cylinder."""
+    values = _values(shape)
+    if shape.tag == "mesh":
+        values = {"filename": values.get("uri", ""), "scale": values.get("scale", "1 1 1")}
+    tag = "cylinder" if shape.tag == "capsule" else shape.tag
+    return UrdfElements(shape).element(tag, **values)
