@@ -72,7 +72,7 @@ class Mounting:
             node = child.entry.get("mount")
             if node is not None:
                 # A part that does not fit in an assembly was chosen by a line of the robot file.
-                with self.report.used_by(module_tree.used_by(child.path, child.span)):
+                with module_tree.used_by(self.report, child.path, child.span, assembly.scope):
                     self._mount_part(assembly, child, node)
 
     def _mount_part(
