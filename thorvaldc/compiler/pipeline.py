@@ -221,8 +221,8 @@ def compile_robot(source: SourceFile, library: Sequence[Path], trust: bool = Fal
                 check_stops_on_slope(model, design, document.get("driver"), report)
             check_purpose(model, document, report)
             check_sides(model, instance, report)
-            check_calculator(model, document, report)
             lock_file = update_robot_lock(source, model, compilation)
+        check_calculator(model, document, report)
         compilation.model = model
     return compilation.complete(source, report, lock_file=lock_file)
 

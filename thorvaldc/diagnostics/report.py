@@ -327,6 +327,7 @@ class Report(HtmlView):
         return any(
             d.span is not None
             and d.code.name != "unknown-key"
+            and d.span.file == span.file
             and start <= (d.span.line, d.span.column) < end
             for d in self.errors
         )

@@ -283,7 +283,7 @@ def _read_parts(
         diagnostics = Report()
         display = paths.name(str(path))
         mesh = None
-        if readable is not None and not is_below(path, readable):
+        if readable is not None and path.exists() and not is_below(path, readable):
             code, message, hint = _FAILURES["forbidden"]
             text = f"the mesh file `{display}` is outside of the folders that may be read"
             diagnostics.add(code, message.format(text=text), element.span, hint=hint)

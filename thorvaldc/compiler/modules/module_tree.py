@@ -113,13 +113,15 @@ class Mount(NamedTuple):
     leaf : the leaf module that carries the mounted module.
     link : name of the carrying link in the leaf module.  Empty for the first link.
     pose : pose of the mount in the frame of the carrying link.
-    span : span of the `mount` entry.
+    span : span of the port or of the carrying module in the `mount` entry.
+    is_free : whether the mount is a pose on the carrying module, and no port.
     """
 
     leaf: Instance
     link: str
     pose: Pose
     span: Span
+    is_free: bool = False
 
     @property
     def place(self) -> tuple[int, str, Pose]:

@@ -114,6 +114,10 @@ def missing_file_hint(folder: Path, node: Node, suffixes: Sequence[str], otherwi
     - ``otherwise``: hint if no similar path exists.
     """
     path = near_path(folder, str(node.value), suffixes)
+    if os.path.isdir(folder / str(node.value)):
+        inside = _listing(folder / str(node.value), suffixes)
+        path = f"{str(node.value).rstrip('/')}/{inside[0]}" if len(inside) == 1 else None
+        otherwise = "this is a folder; name the file in it"
     if path is None:
         return otherwise
     return Proposal(f"did you mean `{path}`?", yaml_text(path))
