@@ -227,7 +227,7 @@ def _runs_of(sweep: Sweep, process_count: int, file: ResultFile | None, json: bo
             if json:
                 print(runs_as_json(runs))
             elif runs:
-                print(results_table(runs, table_width()))
+                print(results_table(runs, table_width(), len(sweep)))
             if len(runs) < len(sweep):
                 message(f"{len(runs)} of {len(sweep)} runs are done")
     return runs
