@@ -59,6 +59,10 @@ class Label(NamedTuple):
 KeysBehind = Callable[[Span], list[Label]]
 
 
+def _no_keys(_span: Span) -> list[Label]:
+    return []
+
+
 class Fix(NamedTuple):
     """A change of an input file that removes a diagnostic, for the quick fixes of editors.
 
@@ -190,7 +194,7 @@ class Report(HtmlView):
         # The original diagnostics are stored to detect repeated diagnostics.
         self._diagnostics: dict[Diagnostic, Diagnostic] = {}
         self._user: Label | None = None
-        self._keys_behind: KeysBehind = lambda _: []
+        self._keys_behind: KeysBehind = _no_keys
         self._accepted: dict[Accepted, None] = {}
 
     def add(
@@ -262,7 +266,7 @@ class Report(HtmlView):
         return list(self._accepted)
 
     @contextlib.contextmanager
-    def used_by(self, user: Label, keys_behind: KeysBehind = lambda _: []) -> Iterator[None]:
+    def used_by(self, user: Label, keys_behind: KeysBehind = _no_keys) -> Iterator[None]:
         """Adds a label to all diagnostics that are reported in a ``with`` block.
 
         - ``user``: label at the module instance in the robot file.
