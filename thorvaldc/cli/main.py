@@ -74,17 +74,7 @@ CORE: tuple[CommandEntry, ...] = (
     CommandEntry("explain", "file_commands:explain", "Explain a diagnostic code."),
 )
 """The commands of the core, in the order of ``thorvaldc --help``; those of the tools follow."""
-_OF_THE_COMPILER = (
-    "new",
-    "check",
-    "build",
-    "sim",
-    "scenario",
-    "bus",
-    "modules",
-    "targets",
-    "schema",
-)
+_COMPILER = ["new", "check", "build", "sim", "scenario", "bus", "modules", "targets", "schema"]
 PLUGINS = "thorvaldc.commands"
 
 
@@ -160,7 +150,7 @@ def _named_by(words: Sequence[str]) -> list[CommandEntry]:
     entries = all_commands()
     named = [entry for entry in entries if entry.name.split()[0] in words[:1]]
     if not named and exits.is_runtime_only():
-        entries = [entry for entry in entries if entry.name.split()[0] not in _OF_THE_COMPILER]
+        entries = [entry for entry in entries if entry.name.split()[0] not in _COMPILER]
     # typer 0.26 shows hidden commands in its plain help.
     return named or [*(entry for entry in entries if not entry.hidden), *plugin_commands()]
 

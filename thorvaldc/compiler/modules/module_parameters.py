@@ -37,10 +37,8 @@ def hint_of_known(word: str, known: list[str], text: str | None = None) -> str:
     it differs from the word.
     """
     all_words = "known: " + ", ".join(f"`{k}`" for k in known) if known else "there are none"
-    hint = did_you_mean(word, known)
-    if text is not None and isinstance(hint, Proposal):
-        return hint.within(text)
-    return hint or all_words
+    hint = did_you_mean(word, known, all_words) or all_words
+    return hint.within(text) if text is not None and isinstance(hint, Proposal) else hint
 
 
 class ModuleChoice(Mapping[str, Any]):

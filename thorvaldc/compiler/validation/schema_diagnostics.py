@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
 
@@ -49,7 +50,7 @@ def explain(error: Any, root: Node, kind: Kind, reported: set[Span], report: Rep
       ``reported``.
     """
     path = list(error.absolute_path)
-    node, schema = _find(root, path), error.schema
+    node, schema = _find(root, path), error.schema if isinstance(error.schema, dict) else {}
     if isinstance(node.value, dict) and set(node.value) == {"value", "unit"}:
         text = f"{_text(node.value['value'])} {_text(node.value['unit'])}"
         if node.span not in reported:
@@ -77,29 +78,20 @@ def _find(node: Node, path: list[str | int]) -> Node:
     return node
 
 
+@dataclass
 class _Explanation:
     """Reports the diagnostics for one schema error of the package jsonschema.
 
     A method such as ``_required`` reports the errors of the JSON Schema keyword ``required``.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        path: list[str | int],
-        schema: Any,
-        error: Any,
-        kind: Kind,
-        reported: set[Span],
-        report: Report,
-    ) -> None:
-        self.node = node
-        self.path = path
-        self.schema: dict[str, Any] = schema if isinstance(schema, dict) else {}
-        self.error = error
-        self.kind = kind
-        self.reported = reported
-        self.report = report
+    node: Node
+    path: list[str | int]
+    schema: dict[str, Any]
+    error: Any
+    kind: Kind
+    reported: set[Span]
+    report: Report
 
     def add(
         self,
@@ -268,9 +260,6 @@ class _Explanation:
             "wrong-length", f"{self.value_name} is empty", self.start, "add at least one entry"
         )
 
-    def _maxproperties(self) -> None:
-        self._one_key()
-
     def _one_key(self) -> None:
         keys = ", ".join(f"`{key}`" for key in self.schema.get("properties", {}))
         entries = list(self._entries().values())
@@ -281,6 +270,8 @@ class _Explanation:
             None,
             (Label(entries[0].where, "the first"),) if len(entries) > 1 else (),
         )
+
+    _maxproperties = _one_key
 
     def bad_name(self, name: str) -> None:
         entry = self._entries().get(name)
@@ -449,8 +440,7 @@ class _Explanation:
             hint,
         )
 
-    def _maxitems(self) -> None:
-        self._minitems()
+    _maxitems = _minitems
 
     def _minimum(self) -> None:
         self.out_of_range("at least")
