@@ -473,14 +473,16 @@ def _elements(value: object) -> str | None:
 
 def _id_hint(name: str) -> str:
     similar = similar_name(name)
-    return _ID_HINT if similar is None else Proposal(f"{_ID_HINT}, as in `{similar}`", similar)
+    # ROS 2 allows no `__` in a namespace, which the name of a robot in a fleet is.
+    rule = _ID_HINT.replace("`_`", "single `_`") if "__" in name else _ID_HINT
+    return rule if similar is None else Proposal(f"{rule}, as in `{similar}`", similar)
 
 
 def similar_name(text: str) -> str | None:
     """Returns the valid name that is most similar to a text, or ``None`` if there is none."""
     german = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "å": "aa", "ø": "oe"})
     latin = unicodedata.normalize("NFKD", text.strip().lower().translate(german))
-    fixed = re.sub(r"[^a-z0-9_]+", "_", re.sub(r"[\u0300-\u036f]", "", latin)).strip("_")
+    fixed = re.sub(r"[^a-z0-9]+", "_", re.sub(r"[\u0300-\u036f]", "", latin)).strip("_")
     return fixed if re.fullmatch(r"[a-z][a-z0-9_]{0,63}", fixed) else None
 
 
