@@ -11,7 +11,7 @@ from tests.accessibility import Page, accessible_page
 from tests.buses import robot_with_bus
 from tests.examples import FLEETS, SAMPLED_ROBOTS, example_fleet, example_robot
 from tests.robots import FOUR_STEERED, make_robot
-from thorvaldc.backends.datasheet import Datasheet
+from thorvaldc.backends.datasheet import RIGHT, Datasheet, OutlineProjector
 from thorvaldc.model import Link, Robot
 from thorvaldc.model.facts.fact_tables import fact_tables
 from thorvaldc.model.facts.robot_facts import robot_facts
@@ -107,3 +107,22 @@ def test_a_fleet_has_a_page_for_each_robot() -> None:
     fleet = example_fleet(FLEETS[0])
     files = Datasheet().emit_fleet(fleet)
     assert set(files) == {f"{p.name}/datasheet/datasheet.html" for p in fleet.placements}
+
+
+def test_a_body_hides_the_battery_in_it() -> None:
+    robot = example_robot("2wd0ws_greenhouse")
+    battery = next(link for link in robot.links if link.name == "battery_box").visuals[0].color
+    outlines = OutlineProjector(robot).outlines(RIGHT)
+    widths = [max(x for x, _ in o.points) - min(x for x, _ in o.points) for o in outlines]
+    body = widths.index(max(widths))
+    inside = [i for i, outline in enumerate(outlines) if outline.color == battery]
+    assert inside
+    assert max(inside) < body
+
+
+def test_a_rim_is_shown_in_its_tyre() -> None:
+    robot = example_robot("4wd4ws_wide")
+    link = next(link for link in robot.links if link.name == "fr_wheel_tyre")
+    tyre, rim = (visual.color for visual in link.visuals[:2])
+    colors = [outline.color for outline in OutlineProjector(robot).outlines(RIGHT)]
+    assert colors.index(tyre) < len(colors) - 1 - colors[::-1].index(rim)

@@ -402,6 +402,30 @@ def test_explain_without_a_code_lists_all_codes(thorvaldc: Command) -> None:
     assert all(f"  {code.number}  {code.name} " in out for code in CODES.values())
 
 
+def test_reports_as_json(thorvaldc: Command) -> None:
+    codes = json.loads(thorvaldc("explain", "--json").out)
+    assert [code["number"] for code in codes] == [code.number for code in CODES.values()]
+    assert json.loads(thorvaldc("explain", "TV501", "--json").out)["page"].startswith("# TV501")
+    for command in (("check", "good.yaml"), ("build", "good.yaml"), ("modules", "check")):
+        assert thorvaldc(*command, "--json") == thorvaldc(*command, "--format", "json")
+
+
+def test_a_build_names_the_targets_that_it_removes(thorvaldc: Command) -> None:
+    assert "removed" not in thorvaldc("build", "good.yaml", "-t", "urdf,mjcf").out
+    assert "removed" not in thorvaldc("build", "good.yaml", "-t", "urdf,mjcf").out
+    output = thorvaldc("build", "good.yaml", "-t", "urdf").out
+    assert output.endswith(" (urdf); removed mjcf of the last build\n")
+
+
+def test_warnings_take_one_line_where_the_robot_is_only_used(thorvaldc: Command) -> None:
+    text = Path("good.yaml").read_text("utf-8")
+    Path("fast.yaml").write_text(text + "driver: {max_linear_velocity: 50 m/s}\n", "utf-8")
+    assert "warning[TV416]" in thorvaldc("check", "fast.yaml").out
+    for command in (("info", "fast.yaml"), ("why", "fast.yaml", "mass")):
+        error = thorvaldc(*command).err
+        assert error == "fast.yaml: 1 warning; `thorvaldc check` shows them\n"
+
+
 def test_explain_accepts_number_and_name(thorvaldc: Command) -> None:
     code = next(iter(CODES.values()))
     output = thorvaldc("explain", code.number)

@@ -28,6 +28,24 @@ def robot(thorvaldc: Command) -> Command:
     return thorvaldc
 
 
+def test_a_new_frame_carries_legs_that_stand_inwards(robot: Command) -> None:
+    tub = trimesh.creation.box((1.2, 0.8, 0.1))
+    tub.export("tub.stl")
+    assert (
+        robot("modules", "new", "frame/tub", "--mesh", "tub.stl", "--library", "r/modules")[0] == 0
+    )
+    text = "thorvaldc: 1\nname: r\nlibrary: [modules]\nmodules:\n  frame: {type: frame/tub}\n"
+    for number, port in enumerate(("front_left", "front_right", "rear_left", "rear_right"), 1):
+        text += f"  {port}: {{type: assembly/steered_drive, mount: frame.{port}, can: {number}}}\n"
+    text += "  box: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0, 0.2]}, can: 1}\n"
+    Path("r/tub.yaml").write_text(text)
+    status, out, err = robot("check", "--strict", "r/tub.yaml")
+    assert (status, err) == (0, ""), out
+    for port, side in (("front_left", "right"), ("rear_right", "left")):
+        value = robot("why", "r/tub.yaml", f"modules.{port}.params.leg_side").out
+        assert side in value
+
+
 def test_a_new_module_passes_and_mounts(robot: Command) -> None:
     status, out, err = robot("modules", "new", "tool/sprayer", "--library", "r/modules")
     assert (status, err) == (0, "")

@@ -41,4 +41,4 @@ def test_a_value_of_a_scenario_is_replaced(thorvaldc: Command) -> None:
 def test_a_robot_file_is_no_scenario(thorvaldc: Command) -> None:
     result = thorvaldc("scenario", "good.yaml")
     assert (result.status, result.out) == (2, "")
-    assert "good.yaml is no scenario" in result.err
+    assert "good.yaml is no scenario; `thorvaldc sim good.yaml` drives a robot" in result.err

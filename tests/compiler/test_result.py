@@ -134,7 +134,7 @@ def test_a_module_accepts_its_own_warnings(tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     module = folder / "module.yaml"
     robot = GOOD.replace("modules:\n", "library: [modules]\nmodules:\n") + (
-        "  box: {type: top/box, mount: {parent: frame, xyz: [0, 0, 0.3]}}\n"
+        "  box: {type: top/box, mount: {parent: frame, xyz: [0, 0.397, 0.35]}}\n"
     )
     for text, in_check, in_robot in (
         (MODULE, [], []),
@@ -153,7 +153,7 @@ def test_a_robot_accepts_the_warning_of_a_module_that_it_mounts(tmp_path: Path) 
     lines = MODULE.splitlines(keepends=True)
     (folder / "module.yaml").write_text("".join(lines[:2] + lines[3:]))
     robot = GOOD.replace("modules:\n", "library: [modules]\nmodules:\n") + (
-        "  box: {type: top/box, mount: {parent: frame, xyz: [0, 0, 0.3]}}\n"
+        "  box: {type: top/box, mount: {parent: frame, xyz: [0, 0.397, 0.35]}}\n"
     )
     assert names(compiled(tmp_path, robot).report) == ["angle-in-radians"]
     robot += "accept: [{code: angle-in-radians, at: box, reason: the drawing has it}]\n"

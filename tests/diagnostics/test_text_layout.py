@@ -44,6 +44,14 @@ def test_headings_take_several_lines_before_names_do() -> None:
     assert any(ROWS[2][0] in line for line in lines)
 
 
+def test_names_and_words_are_not_broken_in_80_columns() -> None:
+    row = ("thorvald_4wd4ws_wide", *ROWS[1][1:], "40x")
+    assert row[0] in text_table([(*HEADINGS, "real time"), row], 80, right=range(1, 8))
+    assert "battery_enclosure_" in text_table(
+        [("name", "text"), ("battery_enclosure_part", "x" * 20)], 40
+    )
+
+
 def test_a_terminal_that_is_too_narrow_gets_a_paragraph_per_row() -> None:
     lines = text_table(ROWS, 40).splitlines()
     assert lines[0].startswith("robot slim  mass 150.0 kg")

@@ -10,6 +10,7 @@ from tests.diagnostics.test_hints import apply
 from tests.mistakes.test_mistakes import FILES, with_mistake, write
 from thorvaldc.compiler.pipeline import compile_file
 
+BOX = "parts/tools/box/module.yaml"
 PATHS = [
     # file, right text, wrong text, code, proposed path
     ("fleet.yaml", "robot: cart.yaml", "robot: cart.yml", "TV324", "cart.yaml"),
@@ -65,3 +66,29 @@ def test_a_folder_with_many_files_is_not_searched_without_end(
     monkeypatch.chdir(tmp_path)
     missing = [d for d in compile_file("fleet.yaml").report if d.code.number == "TV324"]
     assert [d.hint for d in missing] == ["the path is relative to this file"] * len(missing) != []
+
+
+@pytest.mark.parametrize("file", ["module.yml", "Module.yaml", "MODULE.YML"])
+def test_a_module_file_with_another_name_is_named(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path, with_mistake("robot.yaml", "name: picker", "name: picker", has_mast=False))
+    (tmp_path / BOX).rename(tmp_path / BOX.replace("module.yaml", file))
+    monkeypatch.chdir(tmp_path)
+    (error,) = compile_file("robot.yaml").report.errors
+    assert error.code.number == "TV301"
+    assert error.hint == f"rename `parts/tools/box/{file}` to `module.yaml`"
+
+
+def test_the_only_document_of_a_folder_is_proposed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changed = FILES["fleet.yaml"].replace("cart.yaml", "carts/")
+    write(tmp_path, {"fleet.yaml": changed, "carts/cart.yaml": FILES["cart.yaml"]})
+    monkeypatch.chdir(tmp_path)
+    assert [d.hint for d in compile_file("fleet.yaml").report] == [
+        "did you mean `carts/cart.yaml`?",
+    ] * 2
+    (tmp_path / "carts" / "other.yaml").touch()
+    hints = {d.hint for d in compile_file("fleet.yaml").report}
+    assert hints == {"this is a folder; name the file in it"}

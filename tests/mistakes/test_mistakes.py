@@ -8,8 +8,10 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.diagnostics.test_hints import check_the_fixes
 from tests.slow import one_quick_of
 from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.diagnostics import Diagnostic
 
 TABLE = yaml.safe_load(Path(__file__).with_name("mistakes.yaml").read_text(encoding="utf-8"))
 FILES: dict[str, str] = TABLE["files"]
@@ -47,6 +49,10 @@ def test_there_are_two_hundred_different_mistakes() -> None:
     assert len(changes) == len(MISTAKES) >= 200
 
 
+def compiled(name: str) -> list[Diagnostic]:
+    return list(compile_file(name if name in CHECKED else "robot.yaml").report)
+
+
 @pytest.mark.parametrize(
     "mistake",
     one_quick_of(4, MISTAKES),
@@ -58,9 +64,10 @@ def test_a_mistake_is_named_at_its_line_and_once(
     name = mistake["file"]
     assert mistake["instead"] in FILES[name]
     has_mast = mistake.get("has_mast", name == "mast.xacro")
-    write(tmp_path, with_mistake(name, mistake["instead"], mistake["write"], has_mast))
+    changed = with_mistake(name, mistake["instead"], mistake["write"], has_mast)
+    write(tmp_path, changed)
     monkeypatch.chdir(tmp_path)
-    report = list(compile_file(name if name in CHECKED else "robot.yaml").report)
+    report = compiled(name)
     shown = [f"{d.span}: {d.code.number} {d.message} ({d.hint})" for d in report]
     found = [d for d in report if d.code.number == mistake["code"] and mistake["says"] in d.message]
     assert found, shown
@@ -72,3 +79,9 @@ def test_a_mistake_is_named_at_its_line_and_once(
         hints = [d.hint or "" for d in found if not d.fixes]
         assert any(hint.startswith(mistake["advice"]) for hint in hints), shown
     assert len(report) == mistake.get("diagnostics", 1), shown
+
+    def check(files: dict[str, str]) -> list[Diagnostic]:
+        write(tmp_path, files)
+        return compiled(name)
+
+    check_the_fixes({**FILES, **changed}, check, mistake.get("uncovers", ()))

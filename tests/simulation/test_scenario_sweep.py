@@ -175,6 +175,7 @@ def test_ctrl_c_keeps_the_finished_runs(scenario: Path) -> None:
     assert numbers == sorted(numbers)
     assert all(len(row["hash"]) == 64 for row in result)
     assert stdout.count("\n") == len(result) + 2
+    assert stdout.endswith(f"{len(result)} of 800 runs, 0 not as expected\n")
 
 
 def test_a_killed_process_is_reported(scenario: Path) -> None:

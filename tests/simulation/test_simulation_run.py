@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -157,6 +158,20 @@ def test_demo_reads_only_the_build_folder(tmp_path: Path) -> None:
     assert "test_robot" in table
     assert "4: 4/4" in table
     assert len({line.index("true") for line in table.splitlines() if "true" in line}) == 1
+
+
+def test_the_table_of_a_turn_on_the_spot_has_angles() -> None:
+    result = Simulation(ROBOT).run(4.0, Twist(0.0, 0.0, 0.25), Report())
+    cells = re.findall(r"(\d+\.\d) deg", result_table([result]))
+    assert [float(cell) for cell in cells] == pytest.approx([50.0] * 3, abs=8.0)
+
+
+def test_a_limited_twist_has_other_numbers() -> None:
+    limit, report = ROBOT.driver.max_linear_velocity, Report()
+    Simulation(ROBOT).run(1.0, Twist(1.002 * limit, 0.0, 0.0), report)
+    (diagnostic,) = report
+    commanded, limited = re.findall(r"\(.*? m/s", diagnostic.message)
+    assert commanded != limited
 
 
 def test_demo_reports_missing_and_broken_files(tmp_path: Path) -> None:

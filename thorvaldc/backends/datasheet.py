@@ -382,11 +382,13 @@ class Outline(NamedTuple):
 
     - ``points``: corners of a convex polygon in m, to the right and up.
     - ``depth``: distance of its middle towards the viewer in m.
+    - ``nearest``: the same of its nearest point.
     - ``color``: red, green, blue and opacity of the shape.
     """
 
     points: tuple[Point, ...]
     depth: float
+    nearest: float
     color: tuple[float, float, float, float]
 
 
@@ -403,13 +405,18 @@ class OutlineProjector:
         self._pose = tree_of(robot).pose
         self._data = {mesh.name: mesh.data for mesh in robot.meshes}
         self._meshes: dict[str, list[list[Vec3]]] = {}
-        self._known: dict[tuple[Shape, Quat, View], list[tuple[list[Point], float]]] = {}
+        self._known: dict[tuple[Shape, Quat, View], list[tuple[list[Point], float, float]]] = {}
 
     def outlines(self, view: View) -> list[Outline]:
-        """Return the outlines of all shapes in a view, from the back to the front."""
+        """Return the outlines of all shapes in a view, from the back to the front.
+
+        A link hides what is in it: the nearest points of links are compared, but within a link the
+        middles, so that a rim in its tyre is shown.
+        """
         towards = view.towards
-        outlines = []
+        order: list[tuple[float, Outline]] = []
         for link in self._robot.links:
+            outlines: list[Outline] = []
             pose = self._pose.get(link.name)
             parts: tuple[Visual | Collision, ...] = link.visuals or link.collisions
             for part in parts if pose is not None else ():
@@ -417,14 +424,21 @@ class OutlineProjector:
                 w, x, y, z = (round(value, 12) for value in place.quat)
                 right, up = dot(view.right, place.xyz), dot(view.up, place.xyz)
                 color = part.color if isinstance(part, Visual) else (0.6, 0.6, 0.6, 1.0)
-                for hull, depth in self._outlines_of(part.shape, (w, x, y, z), view):
+                away = dot(towards, place.xyz)
+                for hull, depth, nearest in self._outlines_of(part.shape, (w, x, y, z), view):
                     points = tuple((right + u, up + v) for u, v in hull)
-                    outlines.append(Outline(points, depth + dot(towards, place.xyz), color))
-        return sorted(outlines, key=lambda outline: round(outline.depth, 9))
+                    outlines.append(Outline(points, depth + away, nearest + away, color))
+            front = -math.inf
+            for outline in sorted(outlines, key=lambda outline: round(outline.depth, 9)):
+                front = max(front, round(outline.nearest, 9))
+                order.append((front, outline))
+        return [outline for _, outline in sorted(order, key=lambda pair: pair[0])]
 
-    def _outlines_of(self, shape: Shape, quat: Quat, view: View) -> list[tuple[list[Point], float]]:
-        """Return the outlines of a shape relative to its origin, each with the depth of its
-        middle."""
+    def _outlines_of(
+        self, shape: Shape, quat: Quat, view: View
+    ) -> list[tuple[list[Point], float, float]]:
+        """Return the outlines of a shape relative to its origin, each with the depths of its middle
+        and of its nearest point."""
         key = shape, quat, view
         if key not in self._known:
             outlines = []
@@ -432,13 +446,13 @@ class OutlineProjector:
                 corners = [rotate(quat, corner) for corner in piece]
                 depths = [dot(view.towards, corner) for corner in corners]
                 hull = convex_hull(_projected(corners, view))
-                outlines.append((hull, (min(depths) + max(depths)) / 2))
-            shown: list[tuple[list[Point], float]] = []
+                outlines.append((hull, (min(depths) + max(depths)) / 2, max(depths)))
+            shown: list[tuple[list[Point], float, float]] = []
             self._known[key] = shown
-            for hull, depth in sorted(outlines, key=lambda outline: -_area(outline[0])):
+            for outline in sorted(outlines, key=lambda outline: -_area(outline[0])):
                 # A smaller piece inside the outline of another one has its colour.
-                if not any(all(_is_inside(p, other) for p in hull) for other, _ in shown):
-                    shown.append((hull, depth))
+                if not any(all(_is_inside(p, hull) for p in outline[0]) for hull, *_ in shown):
+                    shown.append(outline)
         return self._known[key]
 
     def _pieces(self, shape: Shape) -> Iterable[Sequence[Vec3]]:

@@ -98,6 +98,17 @@ def show_report(report: Report, sources: Mapping[str, Path]) -> int:
     return output.finish()
 
 
+def show_errors(report: Report, sources: Mapping[str, Path], file: str) -> int:
+    """Prints a report as ``show_report`` does, but warnings without errors in one line.
+
+    ``file``: the file, of which ``check`` and ``build`` print the warnings in full.
+    """
+    if report.has_errors or not report.warnings:
+        return show_report(report, sources)
+    message(f"{file}: {count(len(report.warnings), 'warning')}; `thorvaldc check` shows them")
+    return DONE
+
+
 def report_of(error: DiagnosticError) -> Report:
     """Returns a report with the diagnostic of a ``DiagnosticError``."""
     report = Report()

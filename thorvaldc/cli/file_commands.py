@@ -52,6 +52,7 @@ def check(
             help="Output format of the diagnostics; badge: the JSON of a shields.io endpoint.",
         ),
     ] = "text",
+    json: options.Json = False,
     strict: options.Strict = False,
     settings: options.Settings = [],  # noqa: B006
     library: options.Library = [],  # noqa: B006
@@ -62,6 +63,7 @@ def check(
 ) -> int:
     from thorvaldc.compiler.bus.node_ids import without_lock_files
 
+    format = "json" if json else format
     if format != "badge":
         check_format(format)
     folders, values = options.library_folders(library), options.new_values(settings)
@@ -130,16 +132,24 @@ def explain(
             help="TV501 or can-id-duplicate; without it, all codes are listed.",
         ),
     ] = "",
+    json: options.Json = False,
 ) -> int:
-    from thorvaldc.diagnostics.codes import all_codes_text
-    from thorvaldc.diagnostics.report import UnknownCode
+    from thorvaldc.diagnostics.codes import all_codes, all_codes_text
+    from thorvaldc.diagnostics.report import UnknownCode, find_code
     from thorvaldc.diagnostics.report import explain as page_of
 
     if not code:
-        print(all_codes_text(), end="")
+        if json:
+            print_json([known._asdict() for known in all_codes()])
+        else:
+            print(all_codes_text(), end="")
         return DONE
     try:
-        print(page_of(code), end="")
+        page = page_of(code)
+        if json:
+            print_json(find_code(code)._asdict() | {"page": page})
+        else:
+            print(page, end="")
     except UnknownCode as error:
         hint = f"; {error.hint}" if error.hint else ""
         raise typer.BadParameter(f"{error}{hint}", param_hint="CODE") from None
@@ -272,6 +282,7 @@ def build(
         ),
     ] = "",
     format: options.Format = "text",
+    json: options.Json = False,
     settings: options.Settings = [],  # noqa: B006
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
@@ -285,9 +296,10 @@ def build(
     from thorvaldc import __version__
     from thorvaldc.compiler.bus.node_ids import without_lock_files
     from thorvaldc.compiler.output.build_freshness import check_freshness
-    from thorvaldc.compiler.output.writer import WriteError, write_locks
+    from thorvaldc.compiler.output.writer import WriteError, listed_files, write_locks
     from thorvaldc.compiler.pipeline import compile_file
 
+    format = "json" if json else format
     check_format(format)
     targets = _parse_targets(target)
     folders, values = options.library_folders(library), options.new_values(settings)
@@ -326,6 +338,9 @@ def build(
             continue
         pinned_locks = write_locks(compilation.locks, compilation.report)
         shown.add(compilation.report, compilation.sources)
+        lost = dict.fromkeys(
+            path.split("/")[0] for path in listed_files(folder) or () if "/" in path
+        )
         try:
             _write(compilation, model, contents, folder)
         except WriteError:
@@ -333,7 +348,10 @@ def build(
             raise
         for path in pinned_locks:
             shown.result(f"{os.path.normpath(path)}: automatic ids are pinned")
-        shown.result(f"{folder}: {count(len(contents), 'file')} ({', '.join(targets)})")
+        kept = {path.split("/")[0] for path in contents}
+        removed = ", ".join(part for part in lost if part not in kept)
+        note = f"; removed {removed} of the last build" if removed else ""
+        shown.result(f"{folder}: {count(len(contents), 'file')} ({', '.join(targets)}){note}")
         builds.append({"file": file, "folder": str(folder), "files": sorted(contents)})
     return shown.finish(builds=builds)
 

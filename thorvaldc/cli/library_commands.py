@@ -263,10 +263,12 @@ def check_modules(
         typer.Argument(metavar="[DIR]...", help="Library folders.", show_default="the project's"),
     ] = [],  # noqa: B006
     format: options.Format = "text",
+    json: options.Json = False,
     strict: options.Strict = False,
 ) -> int:
     from thorvaldc.compiler.catalogue import check_library
 
+    format = "json" if json else format
     check_format(format)
     output = DiagnosticOutput(format, sys.stdout)
     paths: list[Path | None] = [*options.library_folders(folders, "DIR")]
@@ -315,6 +317,6 @@ def new_module(
         f"and in a robot file beside the folder:\n"
         f"  library: [{folder.resolve().name}]\n"
         f"  modules:\n"
-        f"    part: {{type: {type}, mount: {{parent: frame, xyz: [0, 0, 300 mm]}}}}"
+        f"{scaffolding.usage(type)}"
     )
     return DONE

@@ -74,6 +74,7 @@ CORE: tuple[CommandEntry, ...] = (
     CommandEntry("explain", "file_commands:explain", "Explain a diagnostic code."),
 )
 """The commands of the core, in the order of ``thorvaldc --help``; those of the tools follow."""
+_COMPILER = ["new", "check", "build", "sim", "scenario", "bus", "modules", "targets", "schema"]
 PLUGINS = "thorvaldc.commands"
 
 
@@ -148,6 +149,8 @@ def _named_by(words: Sequence[str]) -> list[CommandEntry]:
         return core
     entries = all_commands()
     named = [entry for entry in entries if entry.name.split()[0] in words[:1]]
+    if not named and exits.is_runtime_only():
+        entries = [entry for entry in entries if entry.name.split()[0] not in _COMPILER]
     # typer 0.26 shows hidden commands in its plain help.
     return named or [*(entry for entry in entries if not entry.hidden), *plugin_commands()]
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import message, report_of, show_report
+from thorvaldc.cli.diagnostic_output import message, report_of, show_errors, show_report
 from thorvaldc.cli.exits import INPUT, OutsideError, is_runtime_only
 from thorvaldc.cli.options import library_folders
 from thorvaldc.diagnostics import DiagnosticError, Report
@@ -54,7 +54,7 @@ def load_robot(file: str, library: Sequence[str], trust: bool) -> LoadedRobot:
     ``OutsideError`` for a robot.yaml if the compiler is not installed.
     """
     loaded = read_robot_file(file, library, trust)
-    show_report(loaded.report, loaded.sources)
+    show_errors(loaded.report, loaded.sources, file)
     if loaded.model is None:
         raise typer.Exit(INPUT)
     if not isinstance(loaded.model, Robot):
@@ -116,7 +116,7 @@ def compile_and_show(
     *,
     trust: bool,
 ) -> Compilation:
-    """Compiles a robot or fleet file and prints its diagnostics on stderr.
+    """Compiles a robot or fleet file and prints its errors on stderr, and the number of warnings.
 
     - ``robot``: path of a robot file that replaces the robot of a scenario.
     - ``values``: values of the options ``--set`` by their paths.
@@ -133,7 +133,7 @@ def compile_and_show(
         set=values,
         trust=trust,
     )
-    show_report(compilation.report, compilation.sources)
+    show_errors(compilation.report, compilation.sources, file)
     return compilation
 
 

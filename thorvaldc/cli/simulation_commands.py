@@ -153,8 +153,13 @@ def scenario(
     if compilation.model is None:
         return INPUT
     if compilation.scenario is None:
-        raise typer.BadParameter(f"{file} is no scenario", param_hint="SCENARIO")
+        raise _no_scenario(file)
     return _run_scenario(compilation, compilation.scenario, outputs, parameters, json, junit)
+
+
+def _no_scenario(file: Path | str) -> typer.BadParameter:
+    reason = f"{file} is no scenario; `thorvaldc sim {file}` drives a robot or fleet"
+    return typer.BadParameter(reason, param_hint="SCENARIO")
 
 
 MAX_RUNS = 100_000
@@ -177,7 +182,7 @@ def _sweep(sweep: Sweep, process_count: int | None, output: str, json: bool) -> 
     if compilation.model is None:
         return show_report(compilation.report, compilation.sources)
     if compilation.scenario is None:
-        raise typer.BadParameter(f"{sweep.scenario} is no scenario", param_hint="SCENARIO")
+        raise _no_scenario(sweep.scenario)
     if len(sweep) > MAX_RUNS:
         reason = f"these are {len(sweep)} runs; there must be at most {MAX_RUNS}"
         raise typer.BadParameter(reason, param_hint="'--set'")
@@ -222,7 +227,7 @@ def _runs_of(sweep: Sweep, process_count: int, file: ResultFile | None, json: bo
             if json:
                 print(runs_as_json(runs))
             elif runs:
-                print(results_table(runs, table_width()))
+                print(results_table(runs, table_width(), len(sweep)))
             if len(runs) < len(sweep):
                 message(f"{len(runs)} of {len(sweep)} runs are done")
     return runs

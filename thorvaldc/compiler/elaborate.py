@@ -105,7 +105,7 @@ def _read_hardware(robot: Instance, library: Library, report: Report) -> dict[st
     for leaf in robot.leaves():
         if leaf.type is None:
             continue
-        with report.used_by(used_by(leaf.path, leaf.span)):
+        with used_by(report, leaf.path, leaf.span, leaf.scope):
             leaf_hardware = hardware_of(leaf.type, leaf.scope, report)
         if leaf_hardware is not None:
             hardware[leaf.path] = leaf_hardware

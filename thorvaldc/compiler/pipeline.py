@@ -42,7 +42,7 @@ from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
 from thorvaldc.compiler.source.input_file import (
     FOLDERS,
     check_no_link_outside,
-    missing_file_hint,
+    report_missing,
     unsaved_texts,
 )
 from thorvaldc.compiler.source.node import Node
@@ -221,8 +221,8 @@ def compile_robot(source: SourceFile, library: Sequence[Path], trust: bool = Fal
                 check_stops_on_slope(model, design, document.get("driver"), report)
             check_purpose(model, document, report)
             check_sides(model, instance, report)
-            check_calculator(model, document, report)
             lock_file = update_robot_lock(source, model, compilation)
+        check_calculator(model, document, report)
         compilation.model = model
     return compilation.complete(source, report, lock_file=lock_file)
 
@@ -321,14 +321,7 @@ def library_folders_of(
             name = posixpath.normpath(posixpath.join(prefix, str(node.value)))
             folders.append((folder, name))
         else:
-            report.add(
-                "library-missing",
-                f"there is no folder `{node.value}`",
-                node.span,
-                hint=missing_file_hint(
-                    base_dir, node, FOLDERS, "the path is relative to the robot file"
-                ),
-            )
+            report_missing("library-missing", base_dir, node, FOLDERS, report)
     return [*folders, *((folder, folder.name) for folder in library)]
 
 

@@ -168,7 +168,8 @@ def module_files(name: str, mesh: Mesh, mesh_name: str) -> dict[str, bytes]:
     """Returns the content of each file of a new module type, by its path in the library folder.
 
     The module has a box as large as the mesh, which gives mass, inertia and the shape for
-    collisions.  A mesh longer than 5 m is taken to be in millimetres.
+    collisions.  A mesh longer than 5 m is taken to be in millimetres.  A frame has a port for a leg
+    at each corner of the box.
 
     - ``name``: name of the module type, such as ``tool/sprayer``.
     - ``mesh_name``: name of the mesh file without its suffix.
@@ -194,8 +195,19 @@ def module_files(name: str, mesh: Mesh, mesh_name: str) -> dict[str, bytes]:
         size=_millimetres(sizes),
         centre=_millimetres(centre),
         top=_millimetres([centre[0], centre[1], highs[2]]),
+        is_frame=name.startswith("frame/"),
+        low=lows,
+        high=highs,
+        middle=f"{centre[2]:g}",
     )
     return {f"{name}/{FILE}": text.encode(), f"{name}/{mesh_file}": mesh.data}
+
+
+def usage(name: str) -> str:
+    """Returns the line of a robot file that uses a new module type."""
+    if name.startswith("frame/"):
+        return f"    frame: {{type: {name}}}"
+    return f"    part: {{type: {name}, mount: {{parent: frame, xyz: [0, 0, 300 mm]}}}}"
 
 
 def write_module(library: Path, files: dict[str, bytes]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import enum
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -54,6 +54,13 @@ class Label(NamedTuple):
 
     span: Span
     text: str
+
+
+KeysBehind = Callable[[Span], list[Label]]
+
+
+def _no_keys(_span: Span) -> list[Label]:
+    return []
 
 
 class Fix(NamedTuple):
@@ -187,6 +194,7 @@ class Report(HtmlView):
         # The original diagnostics are stored to detect repeated diagnostics.
         self._diagnostics: dict[Diagnostic, Diagnostic] = {}
         self._user: Label | None = None
+        self._keys_behind: KeysBehind = _no_keys
         self._accepted: dict[Accepted, None] = {}
 
     def add(
@@ -215,13 +223,19 @@ class Report(HtmlView):
     def put(self, diagnostic: Diagnostic) -> None:
         """Adds a diagnostic, unless the report already contains an equal diagnostic."""
         labelled, user, span = diagnostic, self._user, diagnostic.span
+        if diagnostic in self._diagnostics:
+            return
         if user is not None and span is not None and span.file != user.span.file:
+            keys = self._keys_behind(span)
             if span.file.startswith("<"):  # the project's library: the user cannot change it
-                labels = (Label(span, "found here"), *labelled.labels)
+                labels = (Label(span, "found here"), *labelled.labels, *keys[1:])
                 labelled = replace(labelled, span=user.span, labels=labels, fixes=())
+                if keys:
+                    hint = labelled.hint or "change this value, from which it follows"
+                    labelled = replace(labelled, span=keys[0].span, hint=hint)
             else:
-                labelled = replace(labelled, labels=(*labelled.labels, user))
-        self._diagnostics.setdefault(diagnostic, labelled)
+                labelled = replace(labelled, labels=(*labelled.labels, *keys, user))
+        self._diagnostics[diagnostic] = labelled
 
     def extend(self, diagnostics: Iterable[Diagnostic]) -> None:
         """Adds several diagnostics to the report, in the given order.
@@ -252,21 +266,24 @@ class Report(HtmlView):
         return list(self._accepted)
 
     @contextlib.contextmanager
-    def used_by(self, user: Label) -> Iterator[None]:
+    def used_by(self, user: Label, keys_behind: KeysBehind = _no_keys) -> Iterator[None]:
         """Adds a label to all diagnostics that are reported in a ``with`` block.
 
         - ``user``: label at the module instance in the robot file.
+        - ``keys_behind``: labels at the keys of the robot file from which the value at a source
+          span follows.
 
         A diagnostic in a module document gets the label ``user`` at the module in the robot file,
         because the parameters of the module can cause the diagnostic.  A diagnostic in the module
-        library of Thorvald gets the source span of ``user``, because the user cannot change the
-        library.  The original source span becomes a label of the diagnostic.
+        library of Thorvald gets the source span of the first key behind it, or of ``user``, because
+        the user cannot change the library.  The original source span becomes a label.
         """
-        outer, self._user = self._user, user
+        outer = self._user, self._keys_behind
+        self._user, self._keys_behind = user, keys_behind
         try:
             yield
         finally:
-            self._user = outer
+            self._user, self._keys_behind = outer
 
     def __iter__(self) -> Iterator[Diagnostic]:
         return iter(self._diagnostics.values())
@@ -314,6 +331,7 @@ class Report(HtmlView):
         return any(
             d.span is not None
             and d.code.name != "unknown-key"
+            and d.span.file == span.file
             and start <= (d.span.line, d.span.column) < end
             for d in self.errors
         )

@@ -11,8 +11,8 @@ import textwrap
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
 GAP = "  "
-LEAST_NAME = 12
-"""Least width to which a column of names is shrunk; its names are broken after `_`, `/` or `.`."""
+LONGEST_WORD = 24
+"""Longest word, or part of a name, that is not broken, unlike a hash."""
 _BREAKS = re.compile(r"(?<=[_/.])(?=.)|\s+")
 
 
@@ -32,8 +32,9 @@ def text_table(
     """Returns a table as text.  The first row contains the headings, or empty texts for a table
     without headings.
 
-    A table that is wider than ``width`` has its headings and long cells on several lines.  Where
-    the columns do not fit even so, each row becomes a paragraph of headings and cells.
+    A table that is wider than ``width`` has its headings and long cells on several lines, which
+    are broken between words, or else after `_`, `/` or `.`.  Where the columns do not fit even so,
+    each row becomes a paragraph of headings and cells.
 
     - ``width``: number of columns of the terminal, or ``None`` for one line per row.
     - ``right``: indices of the columns that are aligned to the right.
@@ -45,10 +46,13 @@ def text_table(
     gap = GAP
     if width is not None and _total(widths, gap) > width:
         cells = [max([0, *map(len, column[1:])]) for column in columns]
-        fewest = [min(w, _least(column)) for w, column in zip(widths, columns, strict=True)]
-        if _total(fewest, gap) > width:
-            gap = " "
-        if _total(fewest, gap) > width:
+        for words, gap in ((True, GAP), (True, " "), (False, " ")):
+            fewest = [
+                min(w, _least(column, words)) for w, column in zip(widths, columns, strict=True)
+            ]
+            if _total(fewest, gap) <= width:
+                break
+        else:
             return "\n".join(_paragraph(rows[0], row, width) for row in rows[1:])
         # Headings take several lines before cells do.
         as_cells = [max(pair) for pair in zip(fewest, cells, strict=True)]
@@ -71,15 +75,19 @@ def _total(widths: Sequence[int], gap: str) -> int:
     return len(gap.join(" " * width for width in widths))
 
 
-def _least(column: Sequence[str]) -> int:
-    """Returns the least width of a column: that of its longest part that is not broken."""
+def _least(column: Sequence[str], words: bool) -> int:
+    """Returns the least width of a column: that of its longest part that is not broken.
+
+    ``words``: whether names are not broken.
+    """
     heading = max((len(part) for part in _parts(column[0])), default=0)
     longest = 0
     for cell in column[1:]:
         if cell[:1].isdigit() or cell[:1] in ("+", "-"):  # a value and its unit stay together
             longest = max(longest, len(cell))
         else:
-            longest = max([longest, *(min(len(part), LEAST_NAME) for part in cell.split())])
+            parts = cell.split() if words else _parts(cell)
+            longest = max([longest, *(min(len(part), LONGEST_WORD) for part in parts)])
     return max(heading, longest)
 
 

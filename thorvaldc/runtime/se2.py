@@ -264,9 +264,10 @@ def parse_twist(text: str) -> Twist:
     )
 
 
-def twist_text(twist: Twist) -> str:
+def twist_text(twist: Twist, digits: int = 3) -> str:
     """Returns a twist with its units, such as ``(1 m/s, 0 m/s, 0.3 rad/s)``."""
-    return f"({twist.vx:.3g} m/s, {twist.vy:.3g} m/s, {twist.wz:.3g} rad/s)"
+    vx, vy, wz = (f"{value:.{digits}g}" for value in twist)
+    return f"({vx} m/s, {vy} m/s, {wz} rad/s)"
 
 
 # -- the numbers of ROS messages: poses, twists and covariances of a planar robot ---------------

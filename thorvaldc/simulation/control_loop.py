@@ -235,8 +235,8 @@ class ControlLoop:
     """Runs the driver of one robot along a manoeuvre and measures how the robot moves.
 
     ``path_commanded``, ``path_true`` and ``path_estimated`` are the path lengths (m) since the
-    start of the run.  ``yaw_true`` is the true yaw angle (rad) since the start of the run and is
-    not wrapped.
+    start of the run, and ``turn_commanded`` the commanded turn (rad).  ``yaw_true`` is the true yaw
+    angle (rad) since the start of the run and is not wrapped.
     ``uprightness`` is the smallest cosine of the tilt angle since the start of the run.
     """
 
@@ -263,6 +263,7 @@ class ControlLoop:
         self.pose_true = self.start
         self.yaw_true = 0.0
         self.path_commanded = self.path_true = self.path_estimated = 0.0
+        self.turn_commanded = 0.0
         self.uprightness = 1.0
         self.infeasible = ZERO_TWIST
         self.infeasible_twist = ZERO_TWIST
@@ -328,7 +329,9 @@ class ControlLoop:
         state = self.driver.tick(now)
         if self.ticks:
             dt = now - previous.time
-            self.path_commanded += _twist_in_force(previous).speed * dt
+            in_force = _twist_in_force(previous)
+            self.path_commanded += in_force.speed * dt
+            self.turn_commanded += in_force.wz * dt
             self.path_estimated += state.odometry.twist.speed * dt
             self._measure_truth()
         self.ticks += 1
@@ -431,6 +434,7 @@ class ControlLoop:
             infeasible=self.infeasible,
             unreachable=tuple(robot.wheels[i].name for i in self.unreachable),
             tipped=self.tipped,
+            turn_commanded=self.turn_commanded,
         )
 
 

@@ -158,11 +158,12 @@ def runs_as_json(runs: Sequence[Run]) -> str:
     return json.dumps([finite(run.as_json()) for run in runs], indent=1, ensure_ascii=False)
 
 
-def results_table(runs: Sequence[Run], width: int | None = None) -> str:
+def results_table(runs: Sequence[Run], width: int | None = None, number: int | None = None) -> str:
     """Returns a text table of the results of the runs.
 
     The columns are the varied values, the metrics, the verdict and the hash of each run.
-    ``width``: number of columns of the terminal, or ``None`` for one line per run.
+    ``width``: number of columns of the terminal, or ``None`` for one line per run.  ``number``:
+    number of runs of the sweep, if it can have been interrupted.
     """
     has_fleet = any(run.result is not None and len(run.result["metrics"]) > 1 for run in runs)
     headings = [heading for _, heading, _, _ in _COLUMNS]
@@ -181,6 +182,8 @@ def results_table(runs: Sequence[Run], width: int | None = None) -> str:
     table = text_table(rows, width, right=range(len(rows[0])))
     failed = sum(1 for run in runs if not run.passed)
     verdicts = f"{failed} not as expected" if failed else "all as expected"
+    if number is not None and len(runs) < number:
+        return "\n".join([table, f"{len(runs)} of {number} runs, {failed} not as expected"])
     noun = "run" if len(runs) == 1 else "runs"
     return "\n".join([table, f"{len(runs)} {noun}, {verdicts}"])
 

@@ -7,6 +7,7 @@ passed on to another process.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -41,6 +42,7 @@ class RobotResult:
     * ``unreachable``: names of the wheels whose steering limits excluded a commanded twist.
     * ``tipped``: true if the robot fell over.
     * ``collisions``: number of collisions with other robots, the world or its own parts.
+    * ``turn_commanded``: turn of ``base_link`` for the commanded twists.
     """
 
     name: str
@@ -60,6 +62,7 @@ class RobotResult:
     unreachable: tuple[str, ...]
     tipped: bool
     collisions: int = 0
+    turn_commanded: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +105,8 @@ class SimulationResult:
 def result_table(results: Sequence[SimulationResult], width: int | None = None) -> str:
     """Returns a text table with one line per robot.
 
-    Path lengths are in m, errors in mm and masses in kg.  A `-` replaces a value that is nan.
+    Path lengths are in m, errors in mm and masses in kg; a robot that is to turn on the spot has
+    angles in place of path lengths.  A `-` replaces a value that is nan.
     ``width``: number of columns of the terminal, or ``None`` for one line per robot.
     """
     lines: list[tuple[str, ...]] = [
@@ -122,9 +126,9 @@ def result_table(results: Sequence[SimulationResult], width: int | None = None) 
             robot.name,
             f"{robot.mass:.1f} kg",
             f"{robot.wheels}: {robot.driven}/{robot.steered}",
-            _cell(f"{robot.path_commanded:.3f} m"),
-            _cell(f"{robot.path_true:.3f} m"),
-            _cell(f"{robot.path_odometry:.3f} m"),
+            _way(robot, robot.path_commanded, robot.turn_commanded),
+            _way(robot, robot.path_true, robot.pose_true.yaw),
+            _way(robot, robot.path_odometry, robot.pose_odometry.yaw),
             _cell(f"{robot.end_error * 1000:.1f} mm"),
             _cell(f"{result.real_time_factor:.0f}x"),
         )
@@ -132,6 +136,11 @@ def result_table(results: Sequence[SimulationResult], width: int | None = None) 
         for robot in result.robots
     ]
     return text_table(lines, width, right=range(1, len(lines[0])))
+
+
+def _way(robot: RobotResult, path: float, turn: float) -> str:
+    turns_on_the_spot = robot.path_commanded < 1e-3 and robot.turn_commanded != 0.0
+    return _cell(f"{math.degrees(turn):.1f} deg" if turns_on_the_spot else f"{path:.3f} m")
 
 
 def _cell(text: str) -> str:

@@ -90,8 +90,8 @@ def report_run(
         if loop.limit:
             report.add(
                 "twist-limited",
-                f"the commanded twist of {loop.name} is {twist_text(loop.limited_twist)}; it is"
-                f" limited to {twist_text(loop.limited_to)} by {loop.limit}",
+                f"the commanded twist of {loop.name} is {twist_text(loop.limited_twist, 4)}; it is"
+                f" limited to {twist_text(loop.limited_to, 4)} by {loop.limit}",
                 loop.robot.span,
                 hint="command a slower twist, or change the limit in `driver` of the robot file",
             )

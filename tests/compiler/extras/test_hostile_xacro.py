@@ -362,6 +362,8 @@ def test_meshes_of_other_folders_are_not_read(tmp_path: Path, path: str, kind: s
     assert "m.stl` is outside of the folders" in loaded.only.message.replace("link.stl", "m.stl")
     assert "--trust" in (loaded.only.hint or "")
     assert loaded.parts.meshes == ()
+    missing = load_one(inside, mesh(f"file://{outside}/none.stl"))
+    assert "none.stl` does not exist" in missing.only.message
     # A folder with a `package.xml`, which the robot file names, may be read.
     (outside / "package.xml").write_text("<package><name>p</name></package>", encoding="utf-8")
     loaded = load_one(inside, body, f", packages: {{p: {outside}}}")

@@ -147,7 +147,7 @@ def test_build_path_that_is_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("x")
     with pytest.raises(WriteError, match="it is a file, not a folder"):
         write(ONE, tmp_path / "out")
-    with pytest.raises(WriteError, match=r"File exists|Not a directory"):
+    with pytest.raises(WriteError, match="out is a file, not a folder"):
         write(ONE, tmp_path / "out" / "deeper")
     assert (tmp_path / "out").read_text() == "x"
 

@@ -68,6 +68,7 @@ def test_every_offset_of_a_robot_has_a_place() -> None:
             (),
             ("name",),
             ("description",),
+            ("driver",),
             ("base_calculator",),
             ("modules",),
         )

@@ -40,9 +40,9 @@ async def test_diagnostics_follow_the_unsaved_text(editor: Editor) -> None:
     assert (diagnostic.code, diagnostic.source) == ("TV501", "thorvaldc")
     assert diagnostic.severity == types.DiagnosticSeverity.Error
     assert "hint: " in diagnostic.message
-    assert (diagnostic.range.start.line, text_at(TWICE, diagnostic.range)) == (9, "3")
+    assert (diagnostic.range.start.line, text_at(TWICE, diagnostic.range)) == (10, "3")
     (related,) = diagnostic.related_information or ()
-    assert (related.location.uri, related.location.range.start.line) == (uri, 8)
+    assert (related.location.uri, related.location.range.start.line) == (uri, 9)
     editor.change(uri, ROBOT)
     assert await editor.codes_of(uri) == []
 

@@ -164,7 +164,14 @@ async def test_the_outline_is_the_tree_of_modules(editor: Editor) -> None:
         types.DocumentSymbolParams(types.TextDocumentIdentifier(uri))
     )
     symbols = {symbol.name: symbol for symbol in answer or ()}
-    assert list(symbols) == ["thorvaldc", "name", "description", "base_calculator", "modules"]
+    assert list(symbols) == [
+        "thorvaldc",
+        "name",
+        "description",
+        "base_calculator",
+        "driver",
+        "modules",
+    ]
     modules = symbols["modules"]
     assert isinstance(modules, types.DocumentSymbol)
     assert [child.name for child in modules.children or ()] == [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ from tests.cli.conftest import GOOD, Command
 from tests.examples import FOLDER
 from tests.full_disk import full_disk
 from tests.slow import mostly_slow
+from thorvaldc.compiler.scaffolding import presets, robot_text
 from thorvaldc.diagnostics import Fix, Report
 from thorvaldc.schema import KINDS, inlined, old_words
 from thorvaldc.schema.old_words import OldWord
@@ -194,6 +196,19 @@ def test_what_a_person_decides_is_named_until_it_is_stated(
     result = thorvaldc("upgrade", "robot.yaml")
     assert (result.status, result.err) == (0, "")
     assert result.out == "robot.yaml: nothing to change\n"
+
+
+@pytest.mark.parametrize("preset", presets())
+def test_a_new_robot_needs_no_decision(thorvaldc: Command, preset: str) -> None:
+    text = robot_text("mine", preset)
+    Path("robot.yaml").write_text(text, encoding="utf-8")
+    assert thorvaldc("upgrade", "--dry-run", "robot.yaml").status == 0
+    assert thorvaldc("upgrade", "robot.yaml").err == ""
+    without = re.sub("\\ndriver: .*", "", text)
+    Path("robot.yaml").write_text(without, encoding="utf-8")
+    decisions = thorvaldc("upgrade", "robot.yaml").err
+    assert ("homing" in decisions) == ("steered_drive" in text)
+    assert "arming" in decisions
 
 
 def test_a_motor_states_its_brake(thorvaldc: Command, beam: Path) -> None:

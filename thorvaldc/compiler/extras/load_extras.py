@@ -24,7 +24,7 @@ from thorvaldc.compiler.hardware.hardware_reader import Hardware
 from thorvaldc.compiler.hardware.robot_parts import RobotParts
 from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.shapes.meshes import load_mesh
-from thorvaldc.compiler.source.input_file import FOLDERS, XACRO_FILES, missing_file_hint
+from thorvaldc.compiler.source.input_file import FOLDERS, XACRO_FILES, report_missing
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.readable_folders import is_below
 from thorvaldc.compiler.values.document_section import Section
@@ -165,20 +165,13 @@ class _Entry:
         except (OSError, ValueError):
             exists = False
         if not exists:
-            report.add(
-                "extra-missing",
-                f"the xacro file `{paths.name(str(file))}` does not exist",
-                file_node.span,
-                hint=missing_file_hint(
-                    base_dir, file_node, XACRO_FILES, "the path is relative to the robot file"
-                ),
-            )
+            report_missing("extra-missing", base_dir, file_node, XACRO_FILES, report)
             return None
         packages = node.get("packages")
         schema = inlined("robot")["properties"]["extras"]["items"]
         values = Section(node, schema, ValueReader(report, on_robot=True))
         args, env = (_texts(node.get(key)) for key in ("args", "env"))
-        folders = _package_folders(packages, base_dir, paths, report)
+        folders = _package_folders(packages, base_dir, report)
         parent = node.get("parent")
         placement_node = parent or node.get("xyz") or node.get("rpy")
         return _Entry(
@@ -189,23 +182,14 @@ class _Entry:
         )
 
 
-def _package_folders(
-    packages: Node | None, base_dir: Path, paths: xacro_expand.DisplayPaths, report: Report
-) -> dict[str, str]:
+def _package_folders(packages: Node | None, base_dir: Path, report: Report) -> dict[str, str]:
     if packages is None or not isinstance(packages.value, dict):
         return {}
     folders: dict[str, str] = {}
     for name, folder in packages.value.items():
         path = base_dir / str(folder.value)
         if not path.is_dir():
-            report.add(
-                "extra-package",
-                f"the folder `{paths.name(str(path))}` of package `{name}` does not exist",
-                folder.span,
-                hint=missing_file_hint(
-                    base_dir, folder, FOLDERS, "the path is relative to the robot file"
-                ),
-            )
+            report_missing("extra-package", base_dir, folder, FOLDERS, report)
         folders[name] = str(path)
     return folders
 
@@ -293,7 +277,7 @@ def _read_parts(
         diagnostics = Report()
         display = paths.name(str(path))
         mesh = None
-        if readable is not None and not is_below(path, readable):
+        if readable is not None and path.exists() and not is_below(path, readable):
             code, message, hint = _FAILURES["forbidden"]
             text = f"the mesh file `{display}` is outside of the folders that may be read"
             diagnostics.add(code, message.format(text=text), element.span, hint=hint)

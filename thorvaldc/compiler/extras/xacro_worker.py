@@ -156,7 +156,8 @@ class Expansion:
     def open(self, filename: str, mode: str = "r") -> Any:
         """Replaces the builtin ``open``, with which xacro reads YAML files."""
         path = os.path.realpath(self.in_sources(filename))
-        if self.folders is not None and not is_below(path, self.folders):
+        is_outside = self.folders is not None and not is_below(path, self.folders)
+        if is_outside and os.path.exists(path):
             text = f"the file `{filename}` is outside of the folders that may be read"
             raise ExpansionError("forbidden", text)
         return open(path, mode)

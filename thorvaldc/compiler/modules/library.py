@@ -9,6 +9,7 @@ changed.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 from collections.abc import Callable, Sequence
@@ -224,10 +225,19 @@ class Library:
             "module-type-unknown",
             f"there is no module type `{name}`",
             node.span,
-            hint=(self._unnamed_library(name) if is_inside else None)
+            hint=(self._misnamed_file(name) or self._unnamed_library(name) if is_inside else None)
             or self._near_type(name)
             or "`thorvaldc modules list` shows them",
         )
+        return None
+
+    def _misnamed_file(self, name: str) -> str | None:
+        """Returns the hint to rename a file such as ``Module.yaml`` or ``module.yml``."""
+        for folder, display in self.folders:
+            with contextlib.suppress(OSError, ValueError):
+                for file in sorted(os.listdir(folder / name)):
+                    if file.lower() in (FILE, "module.yml"):
+                        return f"rename `{display}/{name}/{file}` to `{FILE}`"
         return None
 
     def _unnamed_library(self, name: str) -> str | None:

@@ -17,7 +17,7 @@ from thorvaldc.compiler.source.node import Node, describe_node, insertion
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.compiler.values import value_reader as values
-from thorvaldc.diagnostics import Label, Proposal, Report, did_you_mean, plain
+from thorvaldc.diagnostics import Label, Proposal, Report, did_you_mean
 from thorvaldc.model.number_origins import read_at
 from thorvaldc.schema.old_words import old_parameter
 
@@ -37,10 +37,8 @@ def hint_of_known(word: str, known: list[str], text: str | None = None) -> str:
     it differs from the word.
     """
     all_words = "known: " + ", ".join(f"`{k}`" for k in known) if known else "there are none"
-    hint = did_you_mean(word, known)
-    if text is not None and isinstance(hint, Proposal):
-        return hint.within(text)
-    return hint or all_words
+    hint = did_you_mean(word, known, all_words) or all_words
+    return hint.within(text) if text is not None and isinstance(hint, Proposal) else hint
 
 
 class ModuleChoice(Mapping[str, Any]):
@@ -145,7 +143,7 @@ class Scope(values.ValueReader):
         self.depth = 0
         self._params = module.section("params") if module is not None else {}
         self._let = module.section("let") if module is not None else {}
-        self._arguments = arguments
+        self.arguments = arguments
         self._entry = entry
         self._values: dict[str, Any] = {}
         self._name_dimensions: dict[str, Any] = {}
@@ -157,7 +155,7 @@ class Scope(values.ValueReader):
 
         ``dimensions``: dimensions of the names, as ``dimensions`` describes them.
         """
-        inner = Scope(self.module, self._arguments, self.library, self.report, self._entry)
+        inner = Scope(self.module, self.arguments, self.library, self.report, self._entry)
         inner._values = {**self._values, **extra}
         known = {name: part for name, part in self._name_dimensions.items() if part is not None}
         inner._name_dimensions = {**known, **dimensions}
@@ -249,7 +247,7 @@ class Scope(values.ValueReader):
         declaration = self._params.get(name)
         if declaration is None:
             return None
-        argument = self._arguments.get(name)
+        argument = self.arguments.get(name)
         if argument is not None:
             node, scope = argument
             if scope.value(node) is not None or _kind(declaration) == "module":
@@ -297,7 +295,7 @@ class Scope(values.ValueReader):
 
     def check_arguments(self) -> None:
         """Reports arguments whose names are not parameters of the module type."""
-        for name, (node, _) in self._arguments.items():
+        for name, (node, _) in self.arguments.items():
             if name not in self._params and self.module is not None:
                 old = old_parameter(self.module.name, name)
                 self.report.add(
@@ -309,7 +307,7 @@ class Scope(values.ValueReader):
 
     def _parameter(self, name: str, declaration: Node) -> Any:
         """Returns the value of a parameter, from an argument or from the default value."""
-        argument = self._arguments.get(name)
+        argument = self.arguments.get(name)
         if argument is not None:
             node, scope = argument
             value = scope._typed(node, declaration)
@@ -440,19 +438,20 @@ class Scope(values.ValueReader):
             return self._one_of(name, declaration, choices, node, value)
         if not isinstance(value, int | float) or isinstance(value, bool):
             return value
+        quantity = QUANTITIES[_text(declaration, "quantity") or "ratio"]
         for key, relation, sign in (("minimum", "at least", 1.0), ("maximum", "at most", -1.0)):
             limit_node = declaration.get(key)
             if limit_node is None:
                 continue
             limit = self._typed(limit_node, declaration)
             if limit is not values.INVALID and sign * value < sign * limit:
-                limit_text = plain(limit)
+                limit_text = quantity.format_value(limit)
                 if isinstance(limit_node.value, str) and not limit_node.value.startswith("${"):
                     # The error message shows the limit of the parameter with the unit.
                     limit_text = limit_node.value
                 self.report.add(
                     "param-range",
-                    f"`{name}` is {values.describe_value(node, value)}; "
+                    f"`{name}` is {values.describe_value(node, value, quantity)}; "
                     f"it must be {relation} {limit_text}",
                     node.span,
                     hint=_inverted_ratio(node),

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 from thorvaldc.compiler.modules.library import ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope, hint_of_known
+from thorvaldc.compiler.modules.written_keys import written_keys
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
@@ -110,13 +113,15 @@ class Mount(NamedTuple):
     leaf : the leaf module that carries the mounted module.
     link : name of the carrying link in the leaf module.  Empty for the first link.
     pose : pose of the mount in the frame of the carrying link.
-    span : span of the `mount` entry.
+    span : span of the port or of the carrying module in the `mount` entry.
+    is_free : whether the mount is a pose on the carrying module, and no port.
     """
 
     leaf: Instance
     link: str
     pose: Pose
     span: Span
+    is_free: bool = False
 
     @property
     def place(self) -> tuple[int, str, Pose]:
@@ -124,12 +129,13 @@ class Mount(NamedTuple):
         return id(self.leaf), self.link, self.pose.clean()
 
 
-def used_by(path: str, span: Span) -> Label:
-    """Returns a diagnostic label that names the module of the robot.
+def used_by(report: Report, path: str, span: Span, scope: Scope) -> AbstractContextManager[None]:
+    """Adds labels to the diagnostics of a ``with`` block about the document of a module.
 
-    The label is added to each diagnostic about the module document that the module uses.
+    The labels name the module of the robot, and the keys from which a wrong value follows.
     """
-    return Label(span, f"`{path.split('.', 1)[0]}` uses it")
+    user = Label(span, f"`{path.split('.', 1)[0]}` uses it")
+    return report.used_by(user, partial(written_keys, scope))
 
 
 def last_name(path: str) -> str:

@@ -72,7 +72,7 @@ class Mounting:
             node = child.entry.get("mount")
             if node is not None:
                 # A part that does not fit in an assembly was chosen by a line of the robot file.
-                with self.report.used_by(module_tree.used_by(child.path, child.span)):
+                with module_tree.used_by(self.report, child.path, child.span, assembly.scope):
                     self._mount_part(assembly, child, node)
 
     def _mount_part(
@@ -88,7 +88,9 @@ class Mounting:
             return
         mounted_leaf = child if child.is_leaf else self.root_of(child, child.entry)
         if mounted_leaf is not None:
-            mounted_leaf.mount = self._read_mount(assembly, mounted_leaf, node)
+            mount = self._read_mount(assembly, mounted_leaf, node)
+            if not self.report.has_error_in(node.span):
+                mounted_leaf.mount = mount
 
     def _read_mount(
         self, inside: module_tree.Instance, mounted_leaf: module_tree.Instance, node: Node
@@ -165,7 +167,11 @@ class Mounting:
             return None
         self._check_kind(mounted_leaf, leaf.scope.text(free.get("kind")), reference, parent, free)
         return module_tree.Mount(
-            leaf, leaf.scope.text(free.get("link")), read_pose(free, leaf.scope) * pose, parent.span
+            leaf,
+            leaf.scope.text(free.get("link")),
+            read_pose(free, leaf.scope) * pose,
+            parent.span,
+            True,
         )
 
     def _check_kind(
@@ -205,7 +211,9 @@ class Mounting:
             hint: str = "mount one of them somewhere else"
             if free and "." not in mount.leaf.path:
                 ports = ", ".join(f"`{port}`" for port in free[:3])
-                hint = Proposal(f"mount it on a free port: {ports}", *free[:3], is_example=True)
+                hint = f"mount it on a free port: {ports}"
+                if not mount.is_free:
+                    hint = Proposal(hint, *free[:3], is_example=True)
             self.report.add(
                 "mount-occupied",
                 f"`{leaf.path}` is mounted at the same place as `{first.path}`",

@@ -48,7 +48,7 @@ class Resolver:
         for category, node in entries(document.get("defaults")).items():
             self._defaults[category] = entries(node)
         for name, entry in entries(document.get("modules")).items():
-            with self.report.used_by(used_by(name, entry.where)):
+            with used_by(self.report, name, entry.where, scope):
                 self._add_part(robot, name, entry, entry.where, ())
         self._check_defaults(robot)
         self._mounting.root_of(robot, document.get("modules") or document)
@@ -104,9 +104,10 @@ class Resolver:
             return
         arguments = self._arguments(parent, entry, module, chosen_arguments)
         scope = Scope(module, arguments, self.library, self.report, entry)
-        scope.check_arguments()
-        scope.parameter_values()
         path = f"{parent.path}.{name}" if parent.path else name
+        with used_by(self.report, path, span, scope):
+            scope.check_arguments()
+            scope.parameter_values()
         instance = Instance(path, module, scope, entry, span, parent, entry.get("can"))
         parent.children[name] = instance
         for child, child_entry in module.section("modules").items():

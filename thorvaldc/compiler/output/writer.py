@@ -181,8 +181,10 @@ def _write(files: Mapping[str, bytes], target: Path, shown: str) -> None:
     """Writes the files of a build to a staging folder, and replaces the build folder by the staging
     folder.
     """
-    if target.exists() and not target.is_dir():
-        raise WriteError(f"cannot write {shown}: it is a file, not a folder")
+    existing = next(path for path in (target, *target.parents) if path.exists())
+    if not existing.is_dir():
+        subject = "it" if existing == target else existing
+        raise WriteError(f"cannot write {shown}: {subject} is a file, not a folder")
     _check_writable(target, shown)
     target.parent.mkdir(parents=True, exist_ok=True)
     if target.exists():

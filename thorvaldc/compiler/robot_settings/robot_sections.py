@@ -45,27 +45,28 @@ def read_calculator(document: Node, scope: Scope) -> CalculatorChoice:
     )
 
 
-def check_calculator(robot: Robot, document: Node, report: Report) -> None:
+def check_calculator(robot: Robot | None, document: Node, report: Report) -> None:
     """Checks the base calculator of a robot.
 
-    The base calculator must exist, accept the chosen options and suit the wheels of the robot.
+    The base calculator must exist, accept the chosen options and suit the wheels of the robot.  If
+    the robot has other errors, it is ``None``, and only the name is checked.
     """
-    if robot.calculator == CalculatorChoice():
+    choice = document.get("base_calculator")
+    if choice is None or (robot is not None and robot.calculator == CalculatorChoice()):
         return  # The general base calculator suits every robot.
     # The import of the base calculators is here, because robots with the general base calculator do
     # not need the import.
     from thorvaldc.runtime import calculators
 
-    choice = document.get("base_calculator")
-    name = choice.get("name") if choice is not None else None
-    options = choice.get("options") if choice is not None else None
-    for problem in calculators.calculator_errors(robot):
+    name = choice.get("name") or choice
+    options = choice.get("options")
+    for problem in calculators.calculator_errors(robot or str(name.value)):
         option = options.get(problem.option) if options is not None and problem.option else None
         diagnostic = problem.diagnostic
-        span = (option or name or choice or document).span
+        span = (option or name).span
         if option is not None and isinstance(diagnostic.hint, Proposal):
             span = option.where  # the name of the option is misspelled
-        old = old_value("robot", ("base_calculator",), robot.calculator.name)
+        old = old_value("robot", ("base_calculator",), str(name.value))
         hint = old.hint if old and diagnostic.code.name == "calculator-unknown" else diagnostic.hint
         report.add(diagnostic.code.name, diagnostic.message, span, hint=hint)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 from thorvaldc.compiler.robot_settings.driver_settings import noise_of
-from thorvaldc.compiler.source.input_file import DOCUMENTS, missing_file_hint
+from thorvaldc.compiler.source.input_file import DOCUMENTS, report_missing
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
@@ -167,17 +167,8 @@ def load_calibration(
         return None
     path = base_dir / node.value
     if not path.is_file():
-        report.add(
-            "calibration-missing",
-            f"there is no file `{node.value}`",
-            node.span,
-            hint=missing_file_hint(
-                base_dir,
-                node,
-                DOCUMENTS,
-                "make it with `thorvaldc calibrate`, or leave the line out",
-            ),
-        )
+        hint = "make it with `thorvaldc calibrate`, or leave the line out"
+        report_missing("calibration-missing", base_dir, node, DOCUMENTS, report, hint)
         return None
     files[node.value] = path
     shape = Report()

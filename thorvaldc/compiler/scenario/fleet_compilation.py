@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from thorvaldc.compiler.result import Compilation, Compile, SourceFile
-from thorvaldc.compiler.source.input_file import DOCUMENTS, missing_file_hint
+from thorvaldc.compiler.source.input_file import DOCUMENTS, report_missing
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.compiler.values.value_reader import ValueReader
@@ -86,14 +86,7 @@ def open_named_file(source: SourceFile, node: Node, report: Report) -> SourceFil
     name = str(node.value)
     path = source.path.parent / name
     if not os.path.isfile(path):
-        report.add(
-            "fleet-robot-missing",
-            f"there is no file `{name}`",
-            node.span,
-            hint=missing_file_hint(
-                source.path.parent, node, DOCUMENTS, "the path is relative to this file"
-            ),
-        )
+        report_missing("fleet-robot-missing", source.path.parent, node, DOCUMENTS, report)
         return None
     return SourceFile(path, name, source.path.parent)
 

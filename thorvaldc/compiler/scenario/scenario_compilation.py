@@ -16,7 +16,7 @@ from pathlib import Path
 from thorvaldc.compiler.recordings.twist_log_reader import read_twists
 from thorvaldc.compiler.result import Compilation, Compile, SourceFile
 from thorvaldc.compiler.scenario import fleet_compilation, world_reader
-from thorvaldc.compiler.source.input_file import LOGS, missing_file_hint
+from thorvaldc.compiler.source.input_file import LOGS, report_missing
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.compiler.values.value_reader import ValueReader
@@ -147,14 +147,7 @@ def _with_log(
     log_files: dict[str, Path] = {}
     path = source.path.parent / str(log.value)
     if not os.path.exists(path):
-        report.add(
-            "script-log",
-            f"there is no file `{log.value}`",
-            log.span,
-            hint=missing_file_hint(
-                source.path.parent, log, LOGS, "the path is relative to the scenario file"
-            ),
-        )
+        report_missing("script-log", source.path.parent, log, LOGS, report)
         return scenario
     commands_by_robot = read_twists(
         path,

@@ -393,7 +393,10 @@ def check_obstacles(fleet: model.Fleet, world: Section, report: Report) -> None:
             depth, direction = max(moves, default=(0.0, (1.0, 0.0)))
             if depth > _TOLERANCE:
                 reported.add(id(node))
-                _report(placement, block, node, depth, direction, report)
+                dx, dy = direction
+                end = max(x * dx + y * dy for part in parts for x, y, _ in part.points)
+                start = min(x * dx + y * dy for x, y, _ in solid.points)
+                _report(placement, block, node, depth, end - start, direction, report)
 
 
 def _report(
@@ -401,15 +404,17 @@ def _report(
     block: model.Block,
     node: Node,
     depth: float,
+    distance: float,
     direction: Point,
     report: Report,
 ) -> None:
+    """Reports a block that overlaps a part by ``depth``, and the whole robot by ``distance``."""
     what = {"crop": "a plant", "post": "a post"}.get(block.kind, f"the obstacle `{block.name}`")
     hint = "start the robot beside it"
     position = node.get("xyz")
     if block.kind == "obstacle" and position is not None:
         x, y, z = block.pose.xyz[0], block.pose.xyz[1], 0.0
-        distance = depth + 0.5
+        distance += 0.5
         moved = ", ".join(
             f"{plain(round(value, 2))} m"
             for value in (x + distance * direction[0], y + distance * direction[1], z)

@@ -103,6 +103,23 @@ MAX_ENTRIES = 500
 """Greatest number of entries of a folder that are compared, and of subfolders that are searched."""
 
 
+def report_missing(
+    code: str,
+    folder: Path,
+    node: Node,
+    suffixes: Sequence[str],
+    report: Report,
+    otherwise: str = "the path is relative to this file",
+) -> None:
+    """Reports that the file or folder that a document names does not exist.
+
+    ``folder``, ``node``, ``suffixes`` and ``otherwise``: as for ``missing_file_hint``.
+    """
+    message = f"there is no {'file' if suffixes else 'folder'} `{node.value}`"
+    hint = missing_file_hint(folder, node, suffixes, otherwise)
+    report.add(code, message, node.span, hint=hint)
+
+
 def missing_file_hint(folder: Path, node: Node, suffixes: Sequence[str], otherwise: str) -> str:
     """Returns the hint for a path in a document that does not exist.
 
@@ -114,6 +131,10 @@ def missing_file_hint(folder: Path, node: Node, suffixes: Sequence[str], otherwi
     - ``otherwise``: hint if no similar path exists.
     """
     path = near_path(folder, str(node.value), suffixes)
+    if os.path.isdir(folder / str(node.value)):
+        inside = _listing(folder / str(node.value), suffixes)
+        path = f"{str(node.value).rstrip('/')}/{inside[0]}" if len(inside) == 1 else None
+        otherwise = "this is a folder; name the file in it"
     if path is None:
         return otherwise
     return Proposal(f"did you mean `{path}`?", yaml_text(path))

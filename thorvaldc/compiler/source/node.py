@@ -289,7 +289,44 @@ def removal(hint: str, mapping: Node, key: str) -> Proposal | str:
 # -- values that a comma has split -----------------------------------------------
 
 _ELEMENT = r"[+-]?\d[\w.+-]*( ?[A-Za-z°%][\w/^]*)?"
-_DECIMALS = r"\d+(\s*[A-Za-z°%].*)?"
+_DECIMAL_COMMA = r"[-+]?\d+,\d+(\s*[A-Za-z°%].*)?"
+
+
+def is_decimal_comma(first: object, first_span: Span, second: object, span: Span) -> bool:
+    """Returns whether two unquoted values with a comma and no space between them are a number."""
+    is_number = re.fullmatch(_DECIMAL_COMMA, f"{first},{second}") is not None
+    return is_number and span[1:3] == _after_comma(first_span)
+
+
+def with_decimal_points(node: Node) -> list[str]:
+    """Returns the elements of a list as text, in which `0,285` without a space is one number."""
+    texts: list[str] = []
+    last: Node | None = None
+    for _, element in node.children():
+        if last and is_decimal_comma(texts[-1], last.span, element.value, element.span):
+            texts[-1] += f".{element.value}"
+        else:
+            texts.append(yaml_text(element.plain()))
+        last = element
+    return texts
+
+
+def _after_comma(span: Span) -> tuple[int, int]:
+    return span.end_line, span.end_column + 1
+
+
+def report_decimal_comma(number: str, parts: str, span: Span, report: Report) -> None:
+    """Reports a number with a decimal comma.
+
+    - ``number``: the number with a decimal point.
+    - ``parts``: what a comma separates, ``entries`` or ``elements``.
+    """
+    report.add(
+        "bad-quantity",
+        f"`{number.replace('.', ',', 1)}` is two {parts}: a comma separates {parts}",
+        span,
+        hint=Proposal(f"write a decimal point: `{number}`", number),
+    )
 
 
 def join_split_values(values: dict[str, Node], report: Report) -> dict[str, Node]:
@@ -308,19 +345,17 @@ def join_split_values(values: dict[str, Node], report: Report) -> dict[str, Node
             result[key] = node
             continue
         span = Span(last.span.file, *last.span[1:3], *node.key_span[3:5])
-        is_adjacent = node.key_span[1:3] == (last.span.end_line, last.span.end_column + 1)
-        if isinstance(last.value, int) and is_adjacent and re.fullmatch(_DECIMALS, key):
+        if is_decimal_comma(last.value, last.span, key, node.key_span):
             text = f"{last.value}.{key}"
-            report.add(
-                "bad-quantity",
-                f"`{last.value},{key}` is two entries: a comma separates entries",
-                span,
-                hint=Proposal(f"write a decimal point: `{text}`", text),
-            )
+            report_decimal_comma(text, "entries", span, report)
             result[last_key] = Node(text, span, last.key_span)
         elif isinstance(last.value, str) and last.value.startswith("(") and not last.quoted:
             result[last_key] = Node(f"{last.value}, {key}", span, last.key_span)
-        elif not is_adjacent and _is_element(last) and re.fullmatch(_ELEMENT, key):
+        elif (
+            node.key_span[1:3] != _after_comma(last.span)
+            and _is_element(last)
+            and re.fullmatch(_ELEMENT, key)
+        ):
             element = Node(plain_scalar(key, node.key_span, report), node.key_span)
             elements = lists.setdefault(last_key, [last])
             elements.append(element)

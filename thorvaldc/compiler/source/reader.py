@@ -16,7 +16,14 @@ from typing import Any
 import yaml
 
 from thorvaldc.compiler.source.input_file import read_bytes
-from thorvaldc.compiler.source.node import Node, join_split_values, key_kind, plain_scalar
+from thorvaldc.compiler.source.node import (
+    Node,
+    is_decimal_comma,
+    join_split_values,
+    key_kind,
+    plain_scalar,
+    report_decimal_comma,
+)
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
 
 MAX_BYTES = 1_000_000
@@ -45,8 +52,6 @@ def read_text(data: bytes, file: str, report: Report) -> Node | None:
 
     If some YAML values have errors, returns the document with the most likely values.
     """
-    if report_xml(data, file, report):
-        return None
     root = compose(data, file, report, hint_if_empty=_EMPTY_HINT)
     if root is None:
         return None
@@ -66,7 +71,7 @@ def compose(
     size and the nesting depth of a YAML document are limited.  YAML scalars are returned as text.
     A PyYAML node has a tag only if the document contains an explicit tag.
     """
-    text = _decode(data, file, report)
+    text = None if _is_other_format(data, file, report) else _decode(data, file, report)
     if text is None:
         return None
     try:
@@ -89,26 +94,33 @@ _COLON_WITHOUT_SPACE = r"([a-z_][a-z0-9_]*):(\S.*)"
 _EMPTY_HINT = "a document starts with `thorvaldc: 1`"
 
 
-# -- robot descriptions in XML in place of YAML -------------------------------------
+# -- files of other formats in place of YAML ----------------------------------------
 
-_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*<(?:[?!]|\w+[\s/>])")
+_START = re.compile(
+    rb"(?:\xef\xbb\xbf)?\s*(?:;.*\s+)*"
+    rb"(?:(<)(?:[?!]|\w+[\s/>])|(\[(?:FileInfo|DeviceInfo)\])|VERSION \")"
+)
+_OF_DEVICES = "the module of a device describes its objects and frames; `build -t can` writes"
 _ROOT = rb"<(robot|sdf|mujoco)[\s/>]"
 _HEAD = 100_000  # bytes in which the root element is searched; comments can stand before it
 _AUDIT = "`thorvaldc audit DIR` checks the files of any robot"
 _KINDS = {b"robot": "a URDF file", b"sdf": "an SDF file", b"mujoco": "an MJCF file"}
 
 
-def report_xml(data: bytes, file: str, report: Report) -> bool:
-    """Reports an error and returns ``True`` if a document is XML instead of YAML.
-
-    - ``data``: the whole document.
-    - ``file``: file name in source spans.
-    """
+def _is_other_format(data: bytes, file: str, report: Report) -> bool:
+    """Reports an error and returns ``True`` if a document is XML, EDS, DCF or DBC, and not YAML."""
     start = _START.match(data)
     if start is None:
         return False
     root = re.search(_ROOT, data[:_HEAD])
     name = root[1] if root is not None else b""
+    if start[1] is None:
+        kind, target = (
+            ("an EDS or DCF file", "DCF files") if start[2] else ("a DBC file", "a DBC file")
+        )
+        message = f"this is {kind}; expected YAML"
+        report.add("other-document", message, Span(file), hint=f"{_OF_DEVICES} {target}")
+        return True
     hint = _AUDIT
     if name == b"robot":
         hint = (
@@ -370,12 +382,32 @@ class _Reader:
         return Span(self.file, span.line, span.column, last.end_line, last.end_column)
 
     def _sequence(self, raw: Any, key_span: Span | None) -> Node:
-        values = tuple([self.node(item, None) for item in raw.value])
+        items = self._with_decimal_points(raw.value) if raw.flow_style else raw.value
+        values = tuple([self.node(item, None) for item in items])
         span = self._collection_span(raw, values[-1].span if values else None)
         return Node(values, span, key_span)
 
+    def _with_decimal_points(self, items: list[Any]) -> list[Any]:
+        """Returns the elements of a list in brackets, in which ``-0,1`` and ``0,07`` are numbers.
+
+        A list with ``-0`` or ``07`` has decimal commas: these are no elements that people write.
+        """
+        if not any(item.id == "scalar" and re.match(r"-0$|0\d", item.value) for item in items):
+            return items
+        joined: list[Any] = []
+        for item in items:
+            last = joined[-1] if joined else item
+            if is_decimal_comma(last.value, self._span(last), item.value, self._span(item)):
+                number = f"{last.value}.{item.value}"
+                joined[-1] = yaml.ScalarNode("", number, last.start_mark, item.end_mark)
+                report_decimal_comma(number, "elements", self._span(joined[-1]), self.report)
+            else:
+                joined.append(item)
+        return joined
+
     def _mapping(self, raw: Any, key_span: Span | None) -> Node:
         values: dict[str, Node] = {}
+        merged: dict[str, Node] = {}
         last: Node | None = None
         numbers: dict[str, Span] = {}  # keys without a value, which may be parts of a list
         for raw_key, raw_value in raw.value:
@@ -390,6 +422,8 @@ class _Reader:
             if key is not None and ":" in key:
                 key, last = self._without_missing_space(raw_key, key, last)
             if key is None:
+                if isinstance(last.value, dict):  # of a merge key
+                    merged |= last.value
                 continue
             if key in values:
                 first = values[key].where
@@ -408,7 +442,7 @@ class _Reader:
         for key, entry_span in numbers.items():
             if key in values:
                 self._report_key(key, "a number", entry_span)
-        return Node(values, span, key_span)
+        return Node({**merged, **values}, span, key_span)
 
     def _without_missing_space(self, raw_key: Any, key: str, value: Node) -> tuple[str, Node]:
         """Reports an entry without a space after the colon, such as ``{type:frame/tube}``.

@@ -152,7 +152,7 @@ def _parse(text: str, kind: Quantity | None) -> tuple[float, Unit | None]:
                 f"`{shown}` is not an expression", Proposal(f"write an expression as {text}", text)
             )
         raise UnitError(f"`{shown}` is not a quantity: it does not begin with a number", example)
-    rest = stripped[number.end() :].strip()
+    rest = stripped[number.end() :].strip().replace("''", '"')  # inches
     mantissa, exponent = _mantissa(number, shown)
     if not rest:
         return _value(mantissa, exponent, PLAIN, shown), None
@@ -217,8 +217,8 @@ def _in_unit_of(kind: Quantity, text: str) -> str:
     if number is None or ":" in text:
         return f"write {kind} as in `{kind.example}`"
     unit = kind.example.partition(" ")[2]
-    if unit == "mm" and abs(float(number[0])) < 1.0:
-        unit = "m"  # few parts of a robot are below 1 mm
+    if unit == "mm" and "." in number[0]:
+        unit = "m"  # people write 1.2 m and 1200 mm
     quantity = f"{number[0]} {unit}".strip()
     return Proposal(f"write {kind} as in `{quantity}`", quantity, is_example=True)
 

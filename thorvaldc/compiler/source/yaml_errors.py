@@ -12,6 +12,7 @@ A document without errors needs this module only if it has characters that are n
 from __future__ import annotations
 
 import re
+import unicodedata
 from typing import Any, NamedTuple
 
 import yaml
@@ -294,12 +295,25 @@ class _Search:
         """Returns the source span of the characters from ``start`` to ``end``, both from 0."""
         return Span(self.detected.file, line, start + 1, line, end + 1)
 
-    def before(self) -> int:
-        """Returns the number of the last line before the error that has content."""
-        number = self.detected.line - 1
+    def before(self, number: int = 0) -> int:
+        """Returns the number of the last line with content before a line, or before the error."""
+        number = (number or self.detected.line) - 1
         while number > 0 and self.text(number).lstrip()[:1] in ("", "#"):
             number -= 1
         return number
+
+    def column_of_keys(self, here: int) -> int:
+        """Returns the indentation of the mapping that a wrongly indented key probably belongs to.
+
+        It is the nearest one above; of two equally near ones, that of the line below.
+        """
+        columns = [_indentation(self.text(self.before()))]
+        for number in range(self.before(), 0, -1):
+            if self.text(number) and (column := _indentation(self.text(number))) < columns[-1]:
+                columns.append(column)
+        line_below = self.text(self.detected.line + 1)
+        below = _indentation(line_below) if line_below else columns[0]
+        return min(columns, key=lambda column: (abs(column - here), column != below))
 
     def conflict(self) -> Cause | None:
         for number in range(min(self.started, self.before()), self.detected.line + 1):
@@ -380,6 +394,13 @@ class _Search:
         above, here = _indentation(self.text(number)), _indentation(self.line)
         entry = _ENTRY.fullmatch(self.text(number))
         if here > above and entry is not None and self.detected.column > here:
+            opening = self.text(self.before(number))
+            if opening.endswith(":") and _indentation(opening) == above:
+                return Cause(
+                    f"this line starts in the column of `{opening.strip()}`, which has no value",
+                    self.span(number, 0, above),
+                    Proposal(f"start the line in column {here + 1}", " " * here),
+                )
             return Cause(
                 "this line is indented more than the line above, which has a value already",
                 self.span(self.detected.line, 0, here),
@@ -436,7 +457,10 @@ class _Search:
         return Cause(
             f"this key starts in column {here + 1}; the line above starts in column {above + 1}",
             self.span(self.detected.line, 0, here),
-            Proposal("the keys of one mapping start in the same column", " " * above),
+            Proposal(
+                "the keys of one mapping start in the same column",
+                " " * self.column_of_keys(here),
+            ),
         )
 
     def comma(self) -> Cause | None:
@@ -449,8 +473,9 @@ class _Search:
         if word is None or "${" in self.line:
             return None
         end = len(self.line[:column].rstrip())
+        start = len(self.line[:end].rstrip("; "))
         hint = Proposal(
-            "separate the entries by commas", ",", span=self.span(self.detected.line, end, end)
+            "separate the entries by commas", ",", span=self.span(self.detected.line, start, end)
         )
         span = self.span(self.detected.line, column, column + word.end())
         return Cause(f"a `,` is missing before `{word[0]}`", span, hint)
@@ -482,6 +507,7 @@ _SPACES = {
     "\u2060": "a word joiner",
     "\u3000": "an ideographic space",
 }
+_INVISIBLE = "[\u00ad\u200b-\u200d\u2060]"
 _SPACE = "[" + "".join(_SPACES) + "]"
 
 STRUCTURAL_SPACE = re.compile(
@@ -525,6 +551,17 @@ def corrected(text: str, span: Span, report: Report) -> str:
             line = span.line if index == 0 else span.end_line
             report_space(text[index], Span(span.file, line, column, line, column + 1), report)
             return text.strip("".join(_SPACES) + " ")
+    ascii_text = re.sub("[\u2010-\u2015]", "-", re.sub(_INVISIBLE, "", text))
+    if ascii_text != text and re.fullmatch(r"[-\w./+:*]+ ?[\w/^*]*", ascii_text, re.ASCII):
+        character = next(c for c in text if not c.isascii())
+        report.add(
+            "yaml-character",
+            f"the character {unicodedata.name(character).lower()} (U+{ord(character):04X}) in "
+            f"`{ascii_text}` is no part of a name or a number",
+            span,
+            hint=Proposal(f"write `{ascii_text}`", ascii_text),
+        )
+        return ascii_text
     if len(text) > 1 and text[0] in _OPENING_QUOTES and text[-1] in _OPENING_QUOTES:
         inner = text[1:-1]
         report_quote(text[0], span, report, replacement=f'"{inner}"')

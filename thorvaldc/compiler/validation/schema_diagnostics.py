@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
 
@@ -13,10 +13,13 @@ from thorvaldc.compiler.source.node import (
     describe_node,
     insertion,
     whole_number_hint,
+    with_decimal_points,
     yaml_text,
 )
 from thorvaldc.compiler.source.unit_table import QUANTITIES
-from thorvaldc.diagnostics import Label, Proposal, Report, Span, did_you_mean, nearest
+from thorvaldc.compiler.validation.meant_keys import meant_key, misspelt_keys
+from thorvaldc.compiler.validation.schema_walk import SchemaWalk
+from thorvaldc.diagnostics import Label, Proposal, Report, Span, did_you_mean
 from thorvaldc.schema import Kind
 from thorvaldc.schema.old_words import old_keys
 
@@ -47,7 +50,7 @@ def explain(error: Any, root: Node, kind: Kind, reported: set[Span], report: Rep
       ``reported``.
     """
     path = list(error.absolute_path)
-    node, schema = _find(root, path), error.schema
+    node, schema = _find(root, path), error.schema if isinstance(error.schema, dict) else {}
     if isinstance(node.value, dict) and set(node.value) == {"value", "unit"}:
         text = f"{_text(node.value['value'])} {_text(node.value['unit'])}"
         if node.span not in reported:
@@ -56,7 +59,9 @@ def explain(error: Any, root: Node, kind: Kind, reported: set[Span], report: Rep
             report.add("wrong-type", message, node.span, hint=Proposal(f"write `{text}`", text))
         return
     explanation = _Explanation(node, path, schema, error, kind, reported, report)
-    if "propertyNames" in error.absolute_schema_path:
+    if explanation.is_part_of_module():
+        explanation.part_of_module()
+    elif "propertyNames" in error.absolute_schema_path:
         explanation.bad_name(str(error.instance))
     else:
         method = f"_{error.validator.lower()}"
@@ -73,29 +78,20 @@ def _find(node: Node, path: list[str | int]) -> Node:
     return node
 
 
+@dataclass
 class _Explanation:
     """Reports the diagnostics for one schema error of the package jsonschema.
 
     A method such as ``_required`` reports the errors of the JSON Schema keyword ``required``.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        path: list[str | int],
-        schema: Any,
-        error: Any,
-        kind: Kind,
-        reported: set[Span],
-        report: Report,
-    ) -> None:
-        self.node = node
-        self.path = path
-        self.schema: dict[str, Any] = schema if isinstance(schema, dict) else {}
-        self.error = error
-        self.kind = kind
-        self.reported = reported
-        self.report = report
+    node: Node
+    path: list[str | int]
+    schema: dict[str, Any]
+    error: Any
+    kind: Kind
+    reported: set[Span]
+    report: Report
 
     def add(
         self,
@@ -134,6 +130,22 @@ class _Explanation:
         span = self.node.span
         return Span(span.file, span.line, span.column, span.line, span.column + 1)
 
+    def is_part_of_module(self) -> bool:
+        """Returns whether a key of a module, such as `params`, stands in the column of modules."""
+        is_entry = self.path[:-1] == ["modules"] and self.node.get("type") is None
+        return is_entry and self.path[-1] in self.schema.get("properties", {})
+
+    def part_of_module(self) -> None:
+        self.add(
+            "unknown-key",
+            f"{self.value_name} is in the column of the modules",
+            self.node.where,
+            "indent it to the column of the `type` of its module",
+        )
+        self.reported.update(
+            span for _, node in self.node.walk() for span in (node.span, node.where)
+        )
+
     # -- keys ---------------------------------------------------------------------------
 
     def _additionalproperties(self) -> None:
@@ -162,7 +174,9 @@ class _Explanation:
         meant = self._misspelt().get(key)
         meant = meant or meant_key(key, self._entries(), properties, ())
         if meant is not None:
-            return Proposal(f"did you mean `{meant}`?", meant, word=key)
+            hint = f"did you mean `{meant}`?"
+            fits = SchemaWalk(self.kind).fits(properties[meant], entry)
+            return Proposal(hint, meant, word=key) if fits else hint
         for name, inner in properties.items():
             if key in inner.get("properties", {}):
                 return f"`{key}` belongs under `{name}`"
@@ -246,9 +260,6 @@ class _Explanation:
             "wrong-length", f"{self.value_name} is empty", self.start, "add at least one entry"
         )
 
-    def _maxproperties(self) -> None:
-        self._one_key()
-
     def _one_key(self) -> None:
         keys = ", ".join(f"`{key}`" for key in self.schema.get("properties", {}))
         entries = list(self._entries().values())
@@ -259,6 +270,8 @@ class _Explanation:
             None,
             (Label(entries[0].where, "the first"),) if len(entries) > 1 else (),
         )
+
+    _maxproperties = _one_key
 
     def bad_name(self, name: str) -> None:
         entry = self._entries().get(name)
@@ -319,7 +332,7 @@ class _Explanation:
         is_whole = len(numbers) == 1 and re.fullmatch(r"\d+(\.0*)?", numbers[0])
         if is_whole and example.isdigit():
             example = numbers[0].partition(".")[0]
-        elif numbers:  # only the user knows them: no fix replaces them
+        elif numbers or "${" in example:  # only the user knows them: no fix replaces them
             return f"as in `{example}`"
         return Proposal(f"as in `{example}`", example, is_example=True)
 
@@ -413,17 +426,21 @@ class _Explanation:
                 return
         minimum, maximum = self.schema.get("minItems"), self.schema.get("maxItems")
         count = len(self.node.value) if isinstance(self.node.value, tuple) else 0
+        texts = with_decimal_points(self.node)
+        hint = self.example_hint()
+        if count != len(texts) == minimum == maximum:
+            text = f"[{', '.join(texts)}]"
+            hint = Proposal(f"write decimal points: `{text}`", text)
         plural = "" if count == 1 else "s"
         expected = f"{minimum}" if minimum == maximum else f"at least {minimum}"
         self.add(
             "wrong-length",
             f"{self.value_name} has {count} element{plural}; expected {expected}",
             self.node.span,
-            self.example_hint(),
+            hint,
         )
 
-    def _maxitems(self) -> None:
-        self._minitems()
+    _maxitems = _minitems
 
     def _minimum(self) -> None:
         self.out_of_range("at least")
@@ -456,14 +473,16 @@ def _elements(value: object) -> str | None:
 
 def _id_hint(name: str) -> str:
     similar = similar_name(name)
-    return _ID_HINT if similar is None else Proposal(f"{_ID_HINT}, as in `{similar}`", similar)
+    # ROS 2 allows no `__` in a namespace, which the name of a robot in a fleet is.
+    rule = _ID_HINT.replace("`_`", "single `_`") if "__" in name else _ID_HINT
+    return rule if similar is None else Proposal(f"{rule}, as in `{similar}`", similar)
 
 
 def similar_name(text: str) -> str | None:
     """Returns the valid name that is most similar to a text, or ``None`` if there is none."""
     german = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "å": "aa", "ø": "oe"})
     latin = unicodedata.normalize("NFKD", text.strip().lower().translate(german))
-    fixed = re.sub(r"[^a-z0-9_]+", "_", re.sub(r"[\u0300-\u036f]", "", latin)).strip("_")
+    fixed = re.sub(r"[^a-z0-9]+", "_", re.sub(r"[\u0300-\u036f]", "", latin)).strip("_")
     return fixed if re.fullmatch(r"[a-z][a-z0-9_]{0,63}", fixed) else None
 
 
@@ -518,81 +537,3 @@ def _actual(node: Node) -> str:
     """Returns a description of an invalid value for an error message, such as ``a list``."""
     is_text = isinstance(node.value, str)
     return f"the text {describe_node(node)}" if is_text else describe_node(node)
-
-
-# -- keys that were meant by unknown keys ------------------------------------------
-
-# Keys of this language, and the keys of other tools and formats with the same meaning.  If a key
-# has several meanings, the first in the table is preferred.
-_SYNONYMS: dict[str, str] = {
-    "scenario": "name",
-    "thorvaldc": "version",
-    "name": "robot_name",
-    "can": "id node node_id can_node address",
-    "id": "address",
-    "mount": "parent port on attach attach_to",
-    "xacro": "urdf file path include",
-    "robot": "file path model",
-    "type": "class kind module model",
-    "kinds": "kind",
-    "library": "include",
-    "modules": "parts components",
-    "robots": "members vehicles",
-    "shape": "geometry",
-    "color": "colour",
-    "rpy": "rotation orientation euler angles",
-    "xyz": "position translation origin pos",
-    "mass": "weight",
-    "rate": "frequency hz",
-    "command_timeout": "timeout",
-    "max_linear_velocity": "max_speed max_velocity speed_limit",
-    "bitrate": "baud baudrate speed",
-    "base_calculator": "controller",
-    "duration": "time length",
-    "at": "time t start",
-    "until": "end",
-    "vx": "v x speed_x",
-    "wz": "omega",
-    "yaw": "heading theta",
-    "steering_offset": "offset",
-    "end_error": "final_error",
-}
-
-
-def meant_key(
-    unknown: str, entries: Iterable[str], known: Iterable[str], required: Iterable[str]
-) -> str | None:
-    """Returns the key that was probably meant by an unknown key, or ``None``.
-
-    - ``entries``: keys of the mapping.
-    - ``known``: keys that the schema defines.
-    - ``required``: keys that the schema requires.  A missing required key is preferred.
-    """
-    present = set(entries)
-    absent = [key for key in known if key not in present]
-    needed = [key for key in required if key not in present]
-    normal = unknown.lower().replace("-", "_")
-    synonyms = [key for key, others in _SYNONYMS.items() if normal in others.split()]
-    for candidates in (needed, absent):
-        meant = next((key for key in synonyms if key in candidates), None)
-        meant = meant or nearest(unknown, candidates)
-        if meant is not None:
-            return meant
-    return None
-
-
-def misspelt_keys(
-    entries: Iterable[str], known: Iterable[str], required: Iterable[str]
-) -> dict[str, str]:
-    """Returns the required key that each unknown key of a mapping probably means.
-
-    The parameters are those of ``meant_key``.  Two unknown keys never mean the same key.
-    """
-    entries, known, required = list(entries), list(known), list(required)
-    meant_keys: dict[str, str] = {}
-    for key in entries:
-        if key not in known:
-            meant = meant_key(key, [*entries, *meant_keys.values()], known, required)
-            if meant in required:
-                meant_keys[key] = str(meant)
-    return meant_keys

@@ -16,9 +16,9 @@ from thorvaldc.compiler.source import dimensions
 from thorvaldc.compiler.source.expression_parser import ExpressionError
 from thorvaldc.compiler.source.expressions import evaluate, expression_of
 from thorvaldc.compiler.source.node import Node, describe_node, whole_number_hint
-from thorvaldc.compiler.source.unit_table import QUANTITIES, Dimension
+from thorvaldc.compiler.source.unit_table import QUANTITIES, Dimension, Quantity
 from thorvaldc.compiler.source.units import UnitError, is_bare_number, parse_quantity
-from thorvaldc.diagnostics import Proposal, Report, plain
+from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.model.number_origins import read_at
 
 # Least and greatest absolute value of every physical quantity in SI units, except 0.  Squares and
@@ -313,13 +313,13 @@ class ValueReader(Mapping[str, Any]):
         self.report.add("wrong-type", message, node.span, hint=hint)
 
 
-def describe_value(node: Node, value: Any) -> str:
+def describe_value(node: Node, value: Any, quantity: Quantity = QUANTITIES["number"]) -> str:
     """Describes the value of a YAML node for an error message.
 
     The description of an expression includes the value of the expression.
     """
     if isinstance(node.value, str) and "${" in node.value and isinstance(value, int | float):
-        return f"{plain(value)} (`{node.value}`)"
+        return f"{quantity.format_value(value)} (`{node.value}`)"
     return describe_node(node)
 
 

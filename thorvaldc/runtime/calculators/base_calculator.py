@@ -258,17 +258,20 @@ def for_robot(robot: Robot) -> BaseCalculator:
     return cls(BaseGeometry.from_robot(robot), options, noise)
 
 
-def calculator_errors(robot: Robot) -> list[CalculatorError]:
-    """Returns all errors in the robot file's calculator and calculator options."""
+def calculator_errors(robot: Robot | str) -> list[CalculatorError]:
+    """Returns all errors in the robot file's calculator and calculator options.
+
+    ``robot``: the name of the calculator alone, if there is no robot.
+    """
+    name = robot if isinstance(robot, str) else robot.calculator.name
     try:
-        cls = calculator_class(robot.calculator.name)
+        cls = calculator_class(name)
     except CalculatorError as error:
-        diagnostic = error.diagnostic
-        return [
-            CalculatorError(
-                diagnostic.code.name, diagnostic.message, robot.span, hint=diagnostic.hint
-            )
-        ]
+        diagnostic, span = error.diagnostic, None if isinstance(robot, str) else robot.span
+        code, message = diagnostic.code.name, diagnostic.message
+        return [CalculatorError(code, message, span, hint=diagnostic.hint)]
+    if isinstance(robot, str):
+        return []
     _, errors = _read_options(cls, robot)
     reason = cls.unsuited_reason(BaseGeometry.from_robot(robot))
     if reason is not None:

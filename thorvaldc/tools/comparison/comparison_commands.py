@@ -103,7 +103,7 @@ def info(
 
     with ExitStack() as temporary:
         loaded = read_input(file, temporary, options.library_folders(library), trust=trust)
-        status = diagnostic_output.show_report(loaded.report, loaded.sources)
+        status = diagnostic_output.show_errors(loaded.report, loaded.sources, file)
     model = loaded.model
     if model is None:
         return status or INPUT

@@ -20,6 +20,7 @@ from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.compiler.source.node import Node, Value
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Diagnostic, Fix, Report, Span
+from thorvaldc.model import Robot
 from thorvaldc.schema import Kind
 from thorvaldc.schema.old_words import OldWord, old_keys, old_value
 from thorvaldc.tools.upgrade.document import Document
@@ -256,6 +257,16 @@ HOMING = Default(
     "state `homing: on_arming` in `driver`, or `homing: at_start` for the old"
     " behaviour, in which the steering turns without a command",
 )
+
+
+def find_homing(document: Document, context: Context) -> Iterator[Decision]:
+    """Yields the decision about homing, unless the robot has no steering."""
+    with unsaved_texts({document.real_path: document.data}):
+        robot = compile_file(document.path, library=context.folders).model
+    if not isinstance(robot, Robot) or any(wheel.steered for wheel in robot.wheels):
+        yield from HOMING.find(document, context)
+
+
 BRAKES = Default(
     ("motors", "*", "brake"),
     "a motor without power and without a brake is released: the joint turns against"
@@ -298,7 +309,7 @@ _DOCUMENTS: tuple[Kind, ...] = (
 RULES = (
     Rule("old words", _DOCUMENTS, find_old_words),
     Rule("dimensions", ("module",), find_dimensions),
-    Rule("homing", ("robot",), HOMING.find),
+    Rule("homing", ("robot",), find_homing),
     Rule("brakes", ("module",), BRAKES.find),
     Rule("arming", ("robot",), ARMING.find),
     Rule("first command", ("robot",), FIRST_COMMAND.find),
