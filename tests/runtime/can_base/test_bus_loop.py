@@ -466,7 +466,7 @@ def test_another_product_is_refused_before_any_write() -> None:
     rig = Rig(drives())
     drive = device(rig)
     assert isinstance(drive, Cia402Drive)
-    drive.description = replace(drive.description, product=403)
+    drive.specification.node = replace(drive.specification.node, product_code=403)
     drive.power_off()
     drive.power_on()
     rig.until(lambda: rig.state is BaseState.FAULT)
