@@ -248,7 +248,7 @@ class RoboteqController(CanopenDevice):
             self.every(partial(self._cycle, index), partial(self._send_tpdo, index), first=first)
 
     def _cycle(self, index: int) -> float:
-        return self.pdos.event_period(index) if self.pdos is not None else 0.0
+        return self.pdos.sent[index].event_period if self.pdos is not None else 0.0
 
     def _send_tpdo(self, index: int) -> None:
         if self.state is NmtState.OPERATIONAL and self.pdos is not None:
@@ -354,7 +354,7 @@ class RoboteqController(CanopenDevice):
         elif setup in (5, 7) and value >= 0:
             (first if setup == 5 else second).acceleration = float(value)
         elif 8 <= setup <= 11 and 0 <= value <= 32767 and self.pdos is not None:
-            self.pdos.set_event_period(setup - 8, value)
+            self.pdos.sent[setup - 8].event.value = value
         else:
             self.illegal_command = True
 
