@@ -122,10 +122,20 @@ def test_a_full_queue_and_bus_off_are_errors_of_python_can(wire: Wire) -> None:
             bus.send(message(0x100, bytes(12), is_fd=True))
 
 
-def test_cyclic_sending_needs_real_time(wire: Wire) -> None:
-    """A thread of python-can sends the messages, and virtual time knows no threads."""
-    with interface.SimulatedBus(wire) as bus, pytest.raises(NotImplementedError, match="thread"):
-        bus.send_periodic(message(0x100, b"\1"), 0.02)
+def test_cyclic_sending_is_virtual(wire: Wire) -> None:
+    with (
+        interface.SimulatedBus(wire) as a,
+        interface.SimulatedBus(wire, name="b") as b,
+    ):
+        task = a.send_periodic(message(0x100, b"\1"), 0.02)
+        times = [m.timestamp for m in (b.recv(0.1) for _ in range(50)) if m is not None]
+        assert times[-1] - times[0] == pytest.approx(49 * 0.02, abs=1e-4)
+        task.modify_data(message(0x100, b"\2"))  # type: ignore[attr-defined]
+        got = b.recv(60.0)
+        assert got is not None
+        assert got.data == b"\2"
+        task.stop()
+        assert b.recv(0.1) is None
 
 
 # -- in real time, over a socket ---------------------------------------------------------------

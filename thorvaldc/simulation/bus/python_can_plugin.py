@@ -12,15 +12,18 @@ thorvaldc is not installed, call ``register()`` first.
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import can
 import can.interfaces
 import can.util
 
-from thorvaldc.can.frame import CanFrame, ErrorState, ReceivedFrame
+from thorvaldc.can.frame import CanFrame, ErrorState, ReceivedFrame, to_ns
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
 from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
+from thorvaldc.simulation.bus.timeline import Event
 from thorvaldc.simulation.bus.wire import Wire
 
 NAME = "thorvaldc_sim"
@@ -166,14 +169,74 @@ class SimulatedBus(can.BusABC):
     def _apply_filters(self, filters: Any) -> None:
         """Does nothing, because the method ``recv`` applies the message filters."""
 
-    def _send_periodic_internal(self, *arguments: Any, **options: Any) -> Any:
+    def _send_periodic_internal(
+        self,
+        msgs: Sequence[can.Message] | can.Message,
+        period: float,
+        duration: float | None = None,
+        autostart: bool = True,
+        modifier_callback: Callable[[can.Message], None] | None = None,
+    ) -> Any:
         if isinstance(self.interface, SimulatedBusClient):
-            return super()._send_periodic_internal(*arguments, **options)
-        raise NotImplementedError(
-            "a thread of python-can sends periodic messages: not in virtual time"
-        )
+            return super()._send_periodic_internal(
+                msgs, period, duration, autostart, modifier_callback
+            )
+        task = VirtualCyclicTask(self, self.interface, msgs, period, duration, modifier_callback)
+        if autostart:
+            task.start()
+        return task
 
     def shutdown(self) -> None:
         if not self._is_shutdown:
             super().shutdown()
             self.interface.close()
+
+
+class VirtualCyclicTask(
+    can.broadcastmanager.LimitedDurationCyclicSendTaskABC,
+    can.broadcastmanager.ModifiableCyclicTaskABC,
+    can.broadcastmanager.RestartableCyclicTaskABC,
+):
+    """Sends messages periodically in virtual time.
+
+    A periodic message is dropped if the send queue is full.
+    """
+
+    def __init__(
+        self,
+        bus: SimulatedBus,
+        interface: VirtualTimeInterface,
+        messages: Sequence[can.Message] | can.Message,
+        period: float,
+        duration: float | None,
+        modifier: Callable[[can.Message], None] | None,
+    ) -> None:
+        super().__init__(messages, period, duration)
+        self._bus = bus
+        self._timeline = interface.timeline
+        self._modifier = modifier
+        self._event: Event | None = None
+        self._next_message = 0
+        self._until: int | None = None
+
+    def start(self) -> None:
+        self.stop()
+        now = self._timeline.now
+        self._until = None if self.duration is None else now + to_ns(self.duration)
+        self._event = self._timeline.at(now, self._send_next)
+
+    def stop(self) -> None:
+        if self._event is not None:
+            self._event.cancel()
+            self._event = None
+
+    def _send_next(self) -> None:
+        if self._until is not None and self._timeline.now >= self._until:
+            return
+        message = self.messages[self._next_message % len(self.messages)]
+        self._next_message += 1
+        if self._modifier is not None:
+            self._modifier(message)
+        with contextlib.suppress(can.CanOperationError):
+            self._bus.send(message, timeout=0.0)
+        self._event = self._timeline.after(to_ns(self.period), self._send_next)
