@@ -172,6 +172,8 @@ class Quirk(enum.StrEnum):
     SEGMENTED_TRANSFERS = "segmented_transfers"
     """Values of up to 4 bytes are also uploaded in segments, and expedited downloads are refused
     with the abort code 0x05040001."""
+    BLOCK_TRANSFERS = "block_transfers"
+    """The device also supports block transfers, which the other devices abort with 0x05040001."""
     INHIBIT_TIMES = "inhibit_times"
     """The factory setting of the inhibit time of all TPDOs is 50 ms."""
     NO_INHIBIT_TIMES = "no_inhibit_times"

@@ -62,12 +62,6 @@ OLD_WORDS: tuple[OldWord, ...] = (
         ("variations",),
         advice="run a sweep: `thorvaldc scenario FILE --set world.friction=0.3,0.6`",
     ),
-    OldWord(
-        ("bus_faults",),
-        ("quirks", "*"),
-        advice="leave it out: the simulated devices know no block transfers",
-        value="block_transfers",
-    ),
     OldWord(("robot",), ("base_calculator",), advice=_RANDOM_PAIRS, value="random_pairs"),
     OldWord(("robot",), ("base_calculator", "name"), advice=_RANDOM_PAIRS, value="random_pairs"),
 )

@@ -20,6 +20,7 @@ from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can import simulated_bus_protocol as protocol
 from thorvaldc.can.local_socket import pack_json
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
+from thorvaldc.model.scenario import Quirk
 from thorvaldc.simulation.bus import python_can_plugin as interface
 from thorvaldc.simulation.bus.bus_server import BusServer, serving
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot, VirtualTimeInterface
@@ -176,6 +177,44 @@ def test_canopen_reads_and_writes_our_objects(robot: tuple[SimulatedRobot, str])
         emergency = node.emcy.wait(0x2310, timeout=60.0)
         assert emergency is not None
         assert emergency.register == 5
+
+
+def test_block_transfers_of_canopen(channel: str) -> None:
+    """Only devices with the quirk know them; the others abort."""
+    name = "battery_box_with_a_name_of_some_length"
+    for quirks in ((Quirk.BLOCK_TRANSFERS,), ()):
+        simulated = SimulatedRobot(cia402_robot(), quirks=quirks)
+        simulated.power_on()
+        simulated.run(0.3)
+        objects = simulated.devices["fl_controller"].objects  # type: ignore[attr-defined]
+        objects[0x1008, 0].value = name
+        path = f"{channel}{len(quirks)}"
+        with serving(simulated.timeline, {path: simulated.wire()}), canopen.Network() as network:
+            network.connect(interface="thorvaldc_sim", channel=path)
+            sdo = network.add_node(1, canopen.ObjectDictionary()).sdo
+            sdo.RESPONSE_TIMEOUT = 60.0
+
+            def upload(index: int, sdo: canopen.sdo.SdoClient = sdo) -> bytes:
+                return bytes(sdo.open(index, 0, "rb", block_transfer=True, buffering=0).readall())
+
+            if not quirks:
+                with pytest.raises(canopen.SdoAbortedError) as refused:
+                    upload(0x1008)
+                assert refused.value.code == 0x05040001
+                continue
+            assert upload(0x1008) == name.encode()
+            assert upload(0x1017) == b"\x64\0"
+            with pytest.raises(canopen.SdoAbortedError) as refused:
+                upload(0x5000)
+            assert refused.value.code == 0x06020000
+            with sdo.open(0x1017, 0, "wb", size=2, block_transfer=True, buffering=0) as stream:
+                stream.write(b"\x32\0")
+            assert sdo.upload(0x1017, 0) == b"\x32\0", "other transfers work afterwards"
+            with pytest.raises(canopen.SdoAbortedError) as refused:
+                sdo.open(0x1017, 0, "wb", size=4, block_transfer=True, buffering=0)
+            assert refused.value.code == 0x06070010
+            sdo.download(0x1017, 0, (70).to_bytes(2, "little"))
+            assert upload(0x1017) == b"\x46\0"
 
 
 def test_canopen_scans_for_nodes(robot: tuple[SimulatedRobot, str]) -> None:

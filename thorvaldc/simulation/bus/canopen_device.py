@@ -223,7 +223,12 @@ class CanopenDevice(simulated_device.SimulatedDevice):
             self.pdos.apply_quirks(quirks)
             self.pdos.frozen = self.frozen_reports
         objects.restore(self.nonvolatile.get(simulated_device.PARAMETERS, {}))
-        self._sdo = SdoServer(objects, self._respond, segmented=Quirk.SEGMENTED_TRANSFERS in quirks)
+        self._sdo = SdoServer(
+            objects,
+            self._respond,
+            segmented=Quirk.SEGMENTED_TRANSFERS in quirks,
+            blocks=Quirk.BLOCK_TRANSFERS in quirks,
+        )
         self.handlers[canopen.NMT] = self._nmt
         self.handlers[canopen.SYNC] = self._sync
         self.handlers[canopen.SDO_REQUEST + self.node_id] = self._sdo_request

@@ -1,7 +1,8 @@
-"""The servers of a simulated CANopen device: SDO (CiA 301) and LSS (CiA 305)."""
+"""The servers of a simulated CANopen device: SDO (CiA 301), also in blocks, and LSS (CiA 305)."""
 
 from __future__ import annotations
 
+import binascii
 import struct
 from collections.abc import Callable
 
@@ -10,14 +11,165 @@ from thorvaldc.can.lss import UNCONFIGURED, Identity
 from thorvaldc.can.sdo import SEGMENT_LENGTH, AbortCode, ClientCommand
 from thorvaldc.simulation.bus.object_dictionary import DelayedWrite, ObjectDictionary, SdoAbort
 
+# -- block transfers -------------------------------------------------------------------------------
+
+# A block transfer moves up to 127 segments of 7 bytes without a response to each of them:
+#
+#     upload    client   A4 index sub blksize pst          server   C6 index sub size (u32)
+#               client   A3                                server   01 .. 02 .. 83 ..     segments
+#               client   A2 ackseq blksize                 server   C1 | n << 2, crc (u16)
+#               client   A1
+#     download  client   C6 index sub size (u32)           server   A4 index sub blksize
+#               client   01 .. 02 .. 83 ..     segments    server   A2 ackseq blksize
+#               client   C1 | n << 2, crc (u16)            server   A1
+#
+# Bit 7 of the first byte of a segment marks the last segment, the other bits are its number from 1.
+# ``n`` is the number of unused bytes in the last segment.  The CRC is that of CCITT with the start
+# value 0.
+
+BLOCK_DOWNLOAD, BLOCK_UPLOAD = 6, 5
+"""Command specifiers of the client."""
+BLOCK_SIZE = 16
+"""Number of segments of a block that the server accepts, fewer than its send queue holds."""
+_CRC, _SIZE = 0x04, 0x02
+_LAST = 0x80
+
+
+class BlockTransfer:
+    """One block transfer of a client at a time.
+
+    - ``respond``: function that sends a response to the client.
+    - ``download_pending``: ``True`` while the next message of the client is a segment.
+    """
+
+    def __init__(self, objects: ObjectDictionary, respond: Callable[[bytes], None]) -> None:
+        self._objects = objects
+        self._respond = respond
+        self._object = (0, 0)
+        self._upload = b""
+        self._sent = 0
+        """Number of bytes that the client has acknowledged."""
+        self._block_size = BLOCK_SIZE
+        self._download = bytearray()
+        self._next_segment = 1
+        self.download_pending = False
+
+    def end(self) -> None:
+        """Ends an unfinished transfer."""
+        self.download_pending = False
+        self._upload, self._download = b"", bytearray()
+
+    def request(self, data: bytes) -> DelayedWrite | None:
+        """Handles a message of the client that is not a segment.
+
+        Returns the function that writes the value of a finished download, if the write takes time.
+        Raises ``SdoAbort``.
+        """
+        command, subcommand = data[0] >> 5, data[0] & 3
+        if command == BLOCK_DOWNLOAD and subcommand == 1:
+            return self._end_download(data)
+        if command == BLOCK_DOWNLOAD:
+            self._start_download(data)
+        elif subcommand == 0:
+            self._start_upload(data)
+        elif subcommand == 3:
+            self._send_block()
+        elif subcommand == 2:
+            self._acknowledged(data)
+        else:
+            self.end()
+        return None
+
+    # -- upload --------------------------------------------------------------------------------
+
+    def _start_upload(self, data: bytes) -> None:
+        self.end()
+        self._object = struct.unpack_from("<HB", data, 1)
+        self._set_block_size(data[4])
+        self._upload, self._sent = self._objects.upload(*self._object), 0
+        command = BLOCK_DOWNLOAD << 5 | _CRC | _SIZE
+        self._respond(
+            sdo.HEADER.pack(command, *self._object) + struct.pack("<I", len(self._upload))
+        )
+
+    def _set_block_size(self, size: int) -> None:
+        if not 1 <= size <= 127:
+            raise SdoAbort(AbortCode.COMMAND_UNKNOWN)
+        self._block_size = size
+
+    def _send_block(self) -> None:
+        rest = self._upload[self._sent :]
+        count = max(-(-len(rest) // SEGMENT_LENGTH), 1)
+        for number in range(1, min(count, self._block_size) + 1):
+            part = rest[SEGMENT_LENGTH * (number - 1) : SEGMENT_LENGTH * number]
+            last = _LAST if number == count else 0
+            self._respond(bytes([last | number]) + part.ljust(SEGMENT_LENGTH, b"\0"))
+
+    def _acknowledged(self, data: bytes) -> None:
+        self._sent += SEGMENT_LENGTH * data[1]
+        self._set_block_size(data[2])
+        if self._sent < len(self._upload):
+            self._send_block()
+            return
+        unused = -len(self._upload) % SEGMENT_LENGTH
+        crc = binascii.crc_hqx(self._upload, 0)
+        command = BLOCK_DOWNLOAD << 5 | unused << 2 | 1
+        self._respond(struct.pack("<BH", command, crc) + bytes(5))
+
+    # -- download ------------------------------------------------------------------------------
+
+    def _start_download(self, data: bytes) -> None:
+        self.end()
+        self._object = struct.unpack_from("<HB", data, 1)
+        entry = self._objects[self._object]
+        if data[0] & _SIZE:
+            self._objects.check_length(entry, struct.unpack_from("<I", data, 4)[0])
+        self._next_segment, self.download_pending = 1, True
+        command = BLOCK_UPLOAD << 5 | _CRC
+        self._respond(sdo.HEADER.pack(command, *self._object) + bytes([BLOCK_SIZE, 0, 0, 0]))
+
+    def segment(self, data: bytes) -> None:
+        """Handles a segment of a download.
+
+        A segment whose number is not the next one is lost, and the client sends it again.
+        """
+        number = data[0] & 0x7F
+        in_order = number == self._next_segment
+        if in_order:
+            self._download += data[1:]
+            self._next_segment += 1
+        is_last = bool(data[0] & _LAST)
+        if is_last or number >= BLOCK_SIZE:
+            self.download_pending = not (is_last and in_order)
+            acknowledged, self._next_segment = self._next_segment - 1, 1
+            self._respond(bytes([BLOCK_UPLOAD << 5 | 2, acknowledged, BLOCK_SIZE]) + bytes(5))
+
+    def _end_download(self, data: bytes) -> DelayedWrite | None:
+        unused, crc = data[0] >> 2 & 7, struct.unpack_from("<H", data, 1)[0]
+        value = bytes(self._download[: len(self._download) - unused])
+        self.end()
+        if binascii.crc_hqx(value, 0) != crc:
+            raise SdoAbort(AbortCode.CRC_WRONG)
+        return self._objects.download(*self._object, value)
+
+    def finished(self) -> bytes:
+        """Returns the response to the end of a download."""
+        return bytes([BLOCK_UPLOAD << 5 | 1]) + bytes(7)
+
+    def abort(self, code: int) -> bytes:
+        """Ends the transfer and returns the abort message."""
+        self.end()
+        return sdo.abort_message(*self._object, code)
+
 
 class SdoServer:
     """Answers the SDO requests of a client, one transfer at a time.
 
-    The function ``respond`` sends a response to the SDO client.  The server aborts a block transfer
-    with the abort code "command unknown".  An SDO client then uses a segmented transfer instead of
-    a block transfer.  A new SDO request ends an unfinished SDO transfer.  If ``segmented`` is true,
-    the server transfers short values in segments too, and refuses expedited downloads.
+    The function ``respond`` sends a response to the SDO client.  Unless ``blocks`` is true, the
+    server aborts a block transfer with the abort code "command unknown".  An SDO client then uses a
+    segmented transfer instead of a block transfer.  A new SDO request ends an unfinished SDO
+    transfer.  If ``segmented`` is true, the server transfers short values in segments too, and
+    refuses expedited downloads.
     """
 
     def __init__(
@@ -26,8 +178,10 @@ class SdoServer:
         respond: Callable[[bytes], None],
         *,
         segmented: bool = False,
+        blocks: bool = False,
     ) -> None:
         self._segmented = segmented
+        self._blocks = BlockTransfer(objects, respond) if blocks else None
         self._objects = objects
         self._respond = respond
         self._object = (0, 0)
@@ -45,7 +199,15 @@ class SdoServer:
         """
         if len(data) != 8:
             return
-        command = data[0] >> 5
+        command, blocks = data[0] >> 5, self._blocks
+        if blocks is not None and data[0] == sdo.abort_message(0, 0, 0)[0]:
+            blocks.end()
+        if blocks is not None and blocks.download_pending:
+            blocks.segment(data)
+            return
+        if blocks is not None and command in (BLOCK_DOWNLOAD, BLOCK_UPLOAD):
+            self._block_request(blocks, data)
+            return
         try:
             if command == ClientCommand.INITIATE_DOWNLOAD:
                 self._initiate_download(data)
@@ -63,6 +225,17 @@ class SdoServer:
         except SdoAbort as abort:
             self._upload = self._download = None
             self._respond(sdo.abort_message(*self._object, abort.code))
+
+    def _block_request(self, blocks: BlockTransfer, data: bytes) -> None:
+        self._upload = self._download = None
+        is_end = data[0] & 3 == 1 and data[0] >> 5 == BLOCK_DOWNLOAD
+        try:
+            delayed = blocks.request(data)
+        except SdoAbort as abort:
+            self._respond(blocks.abort(abort.code))
+            return
+        if is_end:
+            self._respond_after(delayed, blocks.finished())
 
     def _initiate_download(self, data: bytes) -> None:
         self._upload = self._download = None
