@@ -117,7 +117,8 @@ def test_a_device_of_another_type_gets_no_id() -> None:
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
     device = bench.devices()["rl_controller"]
     device.power_off()
-    device.description = dataclasses.replace(device.description, device_type=0x30191)
+    node = device.specification.node
+    device.specification.node = dataclasses.replace(node, device_type=0x30191)
     device.power_on()
     bench.simulated.run(0.5)
     with pytest.raises(DiagnosticError) as raised:
@@ -137,7 +138,7 @@ def test_the_wrong_robots_file_writes_nothing() -> None:
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
     for device, serial in zip(bench.devices().values(), (0x901, 0x902, 0x903, 0x904), strict=True):
         device.power_off()
-        device.description = dataclasses.replace(device.description, serial=serial)
+        device.specification.nonvolatile = {"serial": hex(serial)}
         device.power_on()
     bench.simulated.run(0.2)
     count = writes(bench)

@@ -57,7 +57,7 @@ def test_scan_finds_every_device_without_id(quirks: tuple[Quirk, ...], unknown: 
     bench = Bench(robot, FACTORY, timing=QUICK, quirks=quirks)
     requests = fastscan_requests(bench)
     found = [entry.device for entry in bench.scan().entries if entry.device is not None]
-    serials = {device.name: device.description.serial for device in bench.devices().values()}
+    serials = {device.name: device.serial for device in bench.devices().values()}
     assert sorted(device.identity.serial for device in found if device.identity) == sorted(
         serials[name] for name in NODES
     )

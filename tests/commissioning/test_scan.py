@@ -74,7 +74,7 @@ def test_requests_of_a_scan() -> None:
     for name in NODES:
         device = scan.entry(name).device
         assert device is not None
-        assert device.texts == (bench.devices()[name].description.name, "1.0", "1.0")
+        assert device.texts == (bench.devices()[name].device_name, "1.0", "1.0")
 
 
 def test_values_are_read_from_nodes_that_have_them() -> None:
@@ -119,7 +119,7 @@ def test_a_duplicate_is_suspected_by_listening_and_by_requests(robot: str) -> No
 def test_two_devices_of_one_identity() -> None:
     bench = Bench(four_drives(), delivered=False, timing=QUICK)
     spare = bench.simulated.clone("fl_controller", "spare")
-    spare.description = bench.devices()["fl_controller"].description  # type: ignore[attr-defined]
+    spare.specification = bench.devices()["fl_controller"].specification
     spare.power_on()
     bench.simulated.run(0.3)
     scan = bench.scan()

@@ -76,7 +76,7 @@ def test_settings_of_a_motor_controller() -> None:
     assert isinstance(drive, RoboteqController)
     assert drive.channels[0].max_rpm == 300
     assert drive.pdos is not None
-    assert drive.pdos.event_period(1) == 0.05
+    assert drive.pdos.sent[1].event_period == 0.05
     with pytest.raises(RequestRefused, match="no setting `max_speed`; there are direction"):
         rig.base.nodes.setup_motor_controller("fl_controller", "max_speed", 1)
     with pytest.raises(RequestRefused, match="cannot be"):

@@ -23,17 +23,12 @@ LATE_SEND_LIMIT = 8
 
 The buffer of a local socket has room for about 270 short messages on Linux; ``send`` must not wait
 for a server that does not run."""
-LOCKSTEP_POLL = 0.0001
-"""Simulated time (s) between two checks for room in the send queue, in lockstep mode."""
 
 
 class SimulatedBusClient:
     """A CAN interface to a simulated bus, connected over a local socket.
 
-    All methods of the simulated CAN interface are thread-safe.  Without ``lockstep`` the simulated
-    bus runs in real time.  With ``lockstep`` the simulated time advances only while every lockstep
-    client waits in ``receive``, ``sleep`` or ``send``.  The simulated time does not advance while a
-    lockstep client computes.
+    The simulated bus runs in real time.  All methods are thread-safe.
     """
 
     receives_by_itself = True
@@ -49,7 +44,6 @@ class SimulatedBusClient:
         receive_own: bool = False,
         listen_only: bool = False,
         fifo: bool = False,
-        lockstep: bool = False,
     ) -> None:
         """Connects to the simulated bus ``channel``.
 
@@ -66,7 +60,6 @@ class SimulatedBusClient:
         """
         self.channel = channel
         self.name = name
-        self.lockstep = lockstep
         self.send_limit = send_limit
         self.receive_limit = receive_limit
         self.overruns = 0
@@ -77,7 +70,6 @@ class SimulatedBusClient:
         self._now = 0
         self._state = can_frame.ErrorState.ACTIVE
         self._closed = ""
-        self._waited_until: int | None = None
         path = socket_path(channel)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
@@ -93,7 +85,6 @@ class SimulatedBusClient:
             "receive_own": receive_own,
             "listen_only": listen_only,
             "fifo": fifo,
-            "lockstep": lockstep,
         }
         self._unpacker = Unpacker()
         try:
@@ -106,7 +97,6 @@ class SimulatedBusClient:
         self.epoch: float = welcome["epoch"]
         self._now = max(self._now, welcome["now"])
         self._start: int = welcome["start"]
-        self._in_real_time = not welcome["lockstep"]
         self._reader = threading.Thread(target=self._read, name=f"bus {channel}", daemon=True)
         self._reader.start()
 
@@ -116,11 +106,8 @@ class SimulatedBusClient:
 
     @property
     def now(self) -> float:
-        """Time (s) since the start of the simulated bus.
-
-        The time is simulated time in lockstep mode, else real time.
-        """
-        return (self._now if self.lockstep else self._clock()) / can_frame.NANOSECONDS
+        """Time (s) since the start of the simulated bus."""
+        return self._clock() / can_frame.NANOSECONDS
 
     @property
     def received_until(self) -> float:
@@ -128,7 +115,7 @@ class SimulatedBusClient:
 
         The time is earlier than ``now`` if the process of the bus runs late.
         """
-        return self._now / can_frame.NANOSECONDS if self._in_real_time else self.now
+        return self._now / can_frame.NANOSECONDS
 
     def send(self, frame: can_frame.CanFrame, timeout: float = 0.0) -> bool:
         """Puts a CAN frame into the send queue.
@@ -140,12 +127,11 @@ class SimulatedBusClient:
         """
         with self._changed:
             if not self._has_room() and timeout > 0.0:
-                self._wait_for_room(timeout)
+                self._changed.wait_for(self._has_room, timeout)
             if not self._has_room() or self._state is can_frame.ErrorState.BUS_OFF:
                 return False
             self._unsent += 1
-        sent_at = self._now if self.lockstep else self._clock()
-        self._write(protocol.pack_frame(protocol.SEND, frame, sent_at))
+        self._write(protocol.pack_frame(protocol.SEND, frame, self._clock()))
         return True
 
     def receive(self, timeout: float | None = None) -> can_frame.ReceivedFrame | None:
@@ -158,7 +144,7 @@ class SimulatedBusClient:
         """
         with self._changed:
             if not self._received and timeout != 0.0:
-                self._wait(timeout, stop_at_frame=True)
+                self._changed.wait_for(lambda: self._received or self._closed, timeout)
             if self._received:
                 return self._received.popleft()
             if self._closed:
@@ -171,7 +157,7 @@ class SimulatedBusClient:
         CAN frames that arrive during the wait stay in the receive queue.
         """
         with self._changed:
-            self._wait(seconds, stop_at_frame=False)
+            self._changed.wait_for(lambda: self._closed, seconds)
 
     def sleep_until(self, time: float) -> None:
         self.sleep(time - self.now)
@@ -199,29 +185,8 @@ class SimulatedBusClient:
             return True
         # A server that runs late will send the frames at the times of these calls.  It is not known
         # yet whether the send queue of the simulated controller is full.
-        late = self._in_real_time and self.now - self.received_until > LATE
+        late = self.now - self.received_until > LATE
         return late and self._unsent < LATE_SEND_LIMIT * self.send_limit
-
-    def _wait_for_room(self, timeout: float) -> None:
-        if not self.lockstep:
-            self._changed.wait_for(self._has_room, timeout)
-            return
-        deadline = self._now + can_frame.to_ns(timeout)
-        while not self._has_room() and self._now < deadline:
-            self._wait(LOCKSTEP_POLL, stop_at_frame=False)
-
-    def _wait(self, timeout: float | None, stop_at_frame: bool) -> None:
-        def over() -> bool:
-            return bool(self._closed) or (stop_at_frame and bool(self._received))
-
-        if not self.lockstep:
-            self._changed.wait_for(over, timeout)
-            return
-        deadline = can_frame.NEVER - 1 if timeout is None else self._now + can_frame.to_ns(timeout)
-        while not over() and self._now < deadline:
-            self._waited_until = None
-            self._write(protocol.pack_time(protocol.WAIT, deadline))
-            self._changed.wait_for(lambda: self._waited_until is not None or bool(self._closed))
 
     def _write(self, message: bytes) -> None:
         try:
@@ -291,4 +256,4 @@ class SimulatedBusClient:
             # restarts.
             self._unsent = max(self._unsent - state["dropped"], 0)
         elif kind == protocol.TIME:
-            self._now = self._waited_until = protocol.unpack_time(body)
+            self._now = protocol.unpack_time(body)

@@ -15,13 +15,11 @@ time after WELCOME:
                               <---  FRAME    a frame of another node
                               <---  STATE    the controller's error state has changed
     RESTART                   --->           recover from bus-off
-    WAIT   until (ns)         --->           lockstep only: simulated time may pass
-                              <---  TIME     present time (ns): a frame has come, or time is up;
-                                             in real time: every 5 ms
+                              <---  TIME     present time (ns), every 5 ms
                               <---  CLOSED   reason
 
-In real time, client and server read the same clock: the time on the bus is the monotonic clock of
-the computer minus ``start`` of WELCOME.  A SEND message contains the time at which the client has
+Client and server read the same clock: the time on the bus is the monotonic clock of the computer
+minus ``start`` of WELCOME.  A SEND message contains the time at which the client has
 sent the frame.  On a busy computer the process of the server may run late.  It then simulates each
 frame at the time at which the client has sent it, so that the traffic on the bus is the same as if
 the server had run in time.  Only the messages to the clients are late.  The newest TIME or FRAME
@@ -40,11 +38,11 @@ import struct
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.local_socket import pack
 
-VERSION = 2
+VERSION = 3
 
 # Types of messages from a client to the server of a simulated bus.  The body of a HELLO message is
-# JSON.  The body of a WAIT message is a time (ns).
-HELLO, SEND, WAIT, RESTART = b"H", b"S", b"W", b"A"
+# JSON.
+HELLO, SEND, RESTART = b"H", b"S", b"A"
 # Types of messages from the server of a simulated bus to a client.  The bodies of WELCOME, STATE
 # and CLOSED messages are JSON.  The body of a TIME message is a time (ns).
 WELCOME, FRAME, SENT, REFUSED, STATE, TIME, CLOSED = b"w", b"F", b"D", b"R", b"s", b"T", b"C"
@@ -87,7 +85,7 @@ def pack_time(kind: bytes, time: int) -> bytes:
 
 
 def unpack_time(body: bytes) -> int:
-    """Decodes the body of a WAIT or TIME message and returns the time (ns).
+    """Decodes the body of a TIME message and returns the time (ns).
 
     Raises ``ValueError`` if the message body does not have 8 bytes.
     """

@@ -301,12 +301,6 @@ def bus(
             "--delivered", help="Devices as delivered by the manufacturer: no ids, no parameters."
         ),
     ] = False,
-    lockstep: Annotated[
-        bool,
-        typer.Option(
-            "--lockstep", help="Advance time only while all programs in lockstep wait for it."
-        ),
-    ] = False,
     json: options.Json = False,
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
@@ -338,7 +332,7 @@ def bus(
     channels = _channels(robot, channel)
     # The robot file may contradict the label of a device whose memory was stored.
     show_start = partial(_show_start, simulated, channels, json, delivered or bool(store))
-    _serve(simulated, channels, store, lockstep, show_start)
+    _serve(simulated, channels, store, show_start)
     return DONE
 
 
@@ -357,7 +351,6 @@ def _serve(
     simulated: SimulatedRobot,
     channels: Mapping[str, str],
     store: str,
-    lockstep: bool,
     show_start: Callable[[], None],
 ) -> None:
     """Runs the simulated CAN buses until the process receives SIGINT or SIGTERM.
@@ -369,9 +362,7 @@ def _serve(
     from thorvaldc.simulation.bus.simulated_robot import write_memory
 
     server = BusServer(
-        simulated.timeline,
-        {name: simulated.wires[bus] for bus, name in channels.items()},
-        lockstep=lockstep,
+        simulated.timeline, {name: simulated.wires[bus] for bus, name in channels.items()}
     )
     previous_handlers = {
         number: signal.signal(number, lambda *_: server.stop())

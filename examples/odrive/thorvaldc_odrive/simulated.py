@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from thorvaldc.can.frame import CanFrame, to_ns
 from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
@@ -25,8 +25,6 @@ from thorvaldc_odrive.protocol import (
 )
 
 if TYPE_CHECKING:
-    from typing import Self
-
     from thorvaldc.simulation.bus.simulated_device import DeviceSpecification
 
 LOOP_PERIOD = 0.005
@@ -45,26 +43,27 @@ class Odrive(SimulatedDevice):
     - ``active_errors``, ``disarm_reason``: errors, see ``Error``.
     """
 
-    def __init__(
-        self,
-        name: str,
-        wire: Any,
-        bitrate: int,
-        *,
-        motor: MotorModel,
-        radians: float,
-        periods: Mapping[Command, float],
-        endpoints: tuple[int, int],
-        firmware: tuple[int, int, int] = (0, 6, 11),
-        seed: int = 0,
-        nonvolatile: Mapping[str, Any] | None = None,
-    ) -> None:
-        super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
-        self.motor = motor
-        self.radians = radians
-        self.periods = periods
-        self.endpoints = endpoints
-        self.firmware = firmware
+    def __init__(self, specification: DeviceSpecification) -> None:
+        node = specification.node
+        memory = {
+            # A delivered ODrive has no node id, and its watchdog is off.
+            NODE_ID: BROADCAST_ID if specification.delivered else node.id,
+            ENABLE_WATCHDOG: not specification.delivered,
+            WATCHDOG_TIMEOUT: float(specification.property("watchdog_timeout")),
+        }
+        super().__init__(specification, memory)
+        actuator = specification.actuator(node.channels[0].name)
+        self.motor: MotorModel = specification.motor_of(actuator)
+        self.radians = math.tau / (1.0 if actuator is None else actuator.gear_ratio)
+        self.periods = {
+            command: specification.period(command.identifier(node.id), 0.0) for command in Command
+        }
+        self.endpoints = (
+            int(specification.property("watchdog_timeout_endpoint")),
+            int(specification.property("enable_watchdog_endpoint")),
+        )
+        major, minor, revision = str(specification.property("firmware")).split(".")
+        self.firmware = int(major), int(minor), int(revision)
         # Only the sign, the position and the failures of the encoder matter here.
         self.encoder = Encoder(1.0, 1024)
         self.active_errors = self.disarm_reason = Error(0)
@@ -72,37 +71,6 @@ class Odrive(SimulatedDevice):
         self.enable_watchdog = True
         self._control_mode = 0
         self._fed_at = -math.inf
-
-    @classmethod
-    def from_specification(cls, specification: DeviceSpecification) -> Self:
-        node = specification.node
-        actuator = specification.actuator(node.channels[0].name)
-        gear_ratio = 1.0 if actuator is None else actuator.gear_ratio
-        major, minor, revision = str(specification.property("firmware")).split(".")
-        return cls(
-            specification.name,
-            specification.wire,
-            specification.bus.bitrate,
-            motor=specification.motor_of(actuator),
-            radians=math.tau / gear_ratio,
-            periods={
-                command: specification.period(command.identifier(node.id), 0.0)
-                for command in Command
-            },
-            endpoints=(
-                int(specification.property("watchdog_timeout_endpoint")),
-                int(specification.property("enable_watchdog_endpoint")),
-            ),
-            firmware=(int(major), int(minor), int(revision)),
-            seed=specification.seed,
-            nonvolatile={
-                # A delivered ODrive has no node id, and its watchdog is off.
-                NODE_ID: BROADCAST_ID if specification.delivered else node.id,
-                ENABLE_WATCHDOG: not specification.delivered,
-                WATCHDOG_TIMEOUT: float(specification.property("watchdog_timeout")),
-                **specification.nonvolatile,
-            },
-        )
 
     @property
     def node_id(self) -> int:

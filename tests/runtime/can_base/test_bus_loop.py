@@ -24,6 +24,7 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.cia402_device import Cia402Drive
 from thorvaldc.simulation.bus.roboteq_device import RoboteqController
+from thorvaldc.simulation.bus.wire import CanController
 
 SYNC, MASTER_HEARTBEAT = 0x080, 0x77F
 PERIOD = 0.02
@@ -234,13 +235,14 @@ def lose(rig: Rig, cob_id: int, number: int) -> None:
     """Lets the master lose the next ``number`` frames of an identifier."""
     remaining = [number]
 
-    def accepts(frame: CanFrame) -> bool:
-        if frame.id == cob_id and remaining[0] > 0:
+    def accepts(receiver: CanController, frame: CanFrame) -> bool:
+        is_own = receiver is rig.interface.controller  # type: ignore[attr-defined]
+        if is_own and frame.id == cob_id and remaining[0] > 0:
             remaining[0] -= 1
             return False
         return True
 
-    rig.interface.controller.accepts = accepts  # type: ignore[attr-defined]
+    rig.interface.wire.filters.append(accepts)  # type: ignore[attr-defined]
 
 
 @both
@@ -466,7 +468,7 @@ def test_another_product_is_refused_before_any_write() -> None:
     rig = Rig(drives())
     drive = device(rig)
     assert isinstance(drive, Cia402Drive)
-    drive.description = replace(drive.description, product=403)
+    drive.specification.node = replace(drive.specification.node, product_code=403)
     drive.power_off()
     drive.power_on()
     rig.until(lambda: rig.state is BaseState.FAULT)

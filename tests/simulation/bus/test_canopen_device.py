@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from tests.simulation.bus.master import Master, Refused
+from tests.simulation.bus.specifications import specification
 from thorvaldc.can.canopen import NmtState
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
-from thorvaldc.simulation.bus.simulated_device import DeviceDescription
 from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import Wire
@@ -20,8 +20,20 @@ SAVE, LOAD = 0x65766173, 0x64616F6C
 NAME = "a name that takes more than one segment"
 
 
-def profile(serial: int | None = 0x1001, **more: Any) -> DeviceDescription:
-    return DeviceDescription(0x192, 0x469, 2, 3, serial, NAME, **more)
+class NamedDevice(CanopenDevice):
+    """A CANopen device with a long name."""
+
+    device_name = NAME
+
+
+def device_on(wire: Wire, node: int, serial: int | None = 0x1001, **more: Any) -> NamedDevice:
+    numbers = {"vendor_id": 0x469, "product_code": 2, "revision_number": 3, "device_type": 0x192}
+    memory = {} if serial is None else {"serial": hex(serial)}
+    return NamedDevice(
+        specification(
+            wire, node, heartbeat=0.1, nonvolatile=memory, lss=serial is not None, **numbers, **more
+        )
+    )
 
 
 class Bench:
@@ -31,7 +43,7 @@ class Bench:
         self.wire = Wire(Timeline(), RATE)
         self.master = Master(VirtualTimeInterface(self.wire, "master"))
         self.devices = [
-            CanopenDevice(f"d{i}", self.wire, RATE, node, profile(0x1001 + i, **more))
+            device_on(self.wire, node, 0x1001 + i, name=f"d{i}", **more)
             for i, node in enumerate(ids)
         ]
         for device in self.devices:
@@ -352,7 +364,7 @@ def test_all_devices_change_the_bitrate_at_the_same_time() -> None:
 def test_a_device_without_a_serial_number_has_no_lss() -> None:
     wire = Wire(Timeline(), RATE)
     master = Master(VirtualTimeInterface(wire, "master"))
-    device = CanopenDevice("d", wire, RATE, 5, profile(None))
+    device = device_on(wire, 5, None)
     device.power_on()
     master.interface.sleep(0.2)
     assert master.number(5, 0x1018, 0) == 3

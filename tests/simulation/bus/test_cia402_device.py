@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from tests.simulation.bus.master import Master, Refused
+from tests.simulation.bus.specifications import specification
 from thorvaldc.simulation.bus.cia402_device import AxisSettings, Cia402Drive
 from thorvaldc.simulation.bus.process_data import Pdo
-from thorvaldc.simulation.bus.simulated_device import DeviceDescription
 from thorvaldc.simulation.bus.simulated_motors import IdealMotor
 from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 from thorvaldc.simulation.bus.timeline import Timeline
@@ -44,13 +44,7 @@ class Drive:
         self.motor = IdealMotor(TOP, ACCELERATION, 100.0, -STOP, STOP, position=position)
         given = {"lower": -LIMIT, "upper": LIMIT, **more}
         settings = AxisSettings(42.0, 1024, TOP, ACCELERATION, 100.0, **given)
-        self.device = Cia402Drive(
-            "drive",
-            self.wire,
-            500_000,
-            NODE,
-            DeviceDescription(heartbeat_period=0.0),
-        )
+        self.device = Cia402Drive(specification(self.wire, NODE, name="drive"))
         self.device.equip(
             [(settings, self.motor)],
             [

@@ -40,7 +40,7 @@ def stored(path: Path, simulated: SimulatedRobot, robot: Robot) -> Memory:
 def serial(simulated: SimulatedRobot, name: str) -> int | None:
     device = simulated.devices[name]
     assert isinstance(device, CanopenDevice)
-    return device.description.serial
+    return device.serial
 
 
 @pytest.mark.parametrize("name", SAMPLED_ROBOTS)

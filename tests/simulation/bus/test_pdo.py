@@ -92,14 +92,14 @@ def test_synchronous_transmission() -> None:
 
 def test_event_timer() -> None:
     device = Device(255, event_ms=20)
-    assert device.pdos.event_period(0) == 0.02
+    assert device.pdos.sent[0].event_period == 0.02
     times = [0.005 * k for k in range(13)]
     assert device.sent_at(*times) == pytest.approx([0.0, 0.02, 0.04, 0.06])
     assert device.sent_at(0.085, 0.1, 0.12, 0.2, 0.215, 0.22) == [0.085, 0.1, 0.12, 0.2, 0.22]
-    device.pdos.set_event_period(0, 50)
-    assert device.pdos.event_period(0) == 0.05
+    device.pdos.sent[0].event.value = 50
+    assert device.pdos.sent[0].event_period == 0.05
     device.write(0x1801, 1, OFF | 0x281)
-    assert device.pdos.event_period(0) == 0.0
+    assert device.pdos.sent[0].event_period == 0.0
     assert device.sent_at(9.0) == []
     device.pdos.send_now(0)
     count = len(device.frames)

@@ -368,7 +368,8 @@ def welcoming(
     channel: str,
 ) -> Iterator[Callable[[bytes], tuple[SimulatedBusClient, socket.socket]]]:
     """A scripted server: sends the welcome and more messages in one packet."""
-    values = {"bitrate": 500_000, "epoch": 0.0, "now": 0, "start": 0, "lockstep": True}
+    never_late = time.monotonic_ns() + 3600 * 10**9
+    values = {"bitrate": 500_000, "epoch": 0.0, "now": 0, "start": never_late}
     welcome = pack_json(protocol.WELCOME, values)
     with socket.socket(socket.AF_UNIX) as listener, ExitStack() as ends:
         listener.bind(channel)
@@ -486,69 +487,3 @@ def test_frames_keep_their_times_while_the_server_runs_late(wire: Wire, channel:
 def test_a_channel_name_too_long_for_a_socket(wire: Wire) -> None:
     with pytest.raises(OSError, match="longer than 100 bytes"):
         BusServer(Timeline(), {"/tmp/" + "x" * 120: wire})
-
-
-# -- lockstep ----------------------------------------------------------------------------------
-
-
-def test_lockstep_is_refused_in_real_time(wire: Wire, channel: str) -> None:
-    with (
-        serving(wire.timeline, {channel: wire}),
-        pytest.raises(can.CanInitializationError, match="lockstep"),
-    ):
-        can.Bus(interface="thorvaldc_sim", channel=channel, lockstep=True)
-
-
-def test_a_burst_in_lockstep_waits_for_room(wire: Wire, channel: str) -> None:
-    with (
-        serving(wire.timeline, {channel: wire}, lockstep=True),
-        can.Bus(interface="thorvaldc_sim", channel=channel, lockstep=True) as bus,
-        can.Bus(interface="thorvaldc_sim", channel=channel) as other,
-    ):
-        for k in range(100):
-            bus.send(message(k))
-        bus.interface.sleep(0.1)  # type: ignore[attr-defined]
-        assert all(other.recv(60.0) is not None for _ in range(100))
-
-
-def play(channel: str, pauses: tuple[float, float]) -> list[tuple[float, int, bytes]]:
-    """Runs two programs in lockstep with pauses (s); returns the frames of the second one."""
-    simulated = SimulatedRobot(cia402_robot(), seed=5)
-    simulated.power_on()
-    heard: list[tuple[float, int, bytes]] = []
-
-    def master() -> None:
-        with can.Bus(interface="thorvaldc_sim", channel=channel, lockstep=True) as bus:
-            for k in range(20):
-                time.sleep(pauses[0])
-                bus.send(message(0x080))
-                bus.send(message(0x000, bytes([1, k % 5])))
-                bus.interface.sleep(0.02)  # type: ignore[attr-defined]
-
-    def monitor() -> None:
-        with can.Bus(
-            interface="thorvaldc_sim", channel=channel, lockstep=True, listen_only=True
-        ) as bus:
-            while bus.interface.now < 0.3:  # type: ignore[attr-defined]
-                got = bus.recv(0.05)
-                if got is not None:
-                    time.sleep(pauses[1])
-                    heard.append((got.timestamp, got.arbitration_id, bytes(got.data)))
-
-    with serving(simulated.timeline, {channel: simulated.wire()}, lockstep=True):
-        first = SimulatedBusClient(channel, "holds the time", lockstep=True)
-        threads = [threading.Thread(target=work) for work in (master, monitor)]
-        for thread in threads:
-            thread.start()
-        time.sleep(0.1)  # both are attached
-        first.close()
-        for thread in threads:
-            thread.join(20.0)
-    return heard
-
-
-def test_programs_in_lockstep_see_the_same_at_any_speed(channel: str) -> None:
-    quick = play(channel, (0.0, 0.0))
-    slow = play(channel, (0.01, 0.001))
-    assert len(quick) > 60
-    assert quick == slow

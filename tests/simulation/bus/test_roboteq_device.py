@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import NamedTuple
 
 import pytest
 
 from tests.simulation.bus.master import Master, Refused
-from thorvaldc.simulation.bus.roboteq_device import ChannelSettings, RoboteqController
+from tests.simulation.bus.specifications import specification
+from thorvaldc.model import Channel
+from thorvaldc.simulation.bus.roboteq_device import RoboteqController
 from thorvaldc.simulation.bus.simulated_motors import IdealMotor
 from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 from thorvaldc.simulation.bus.timeline import Timeline
@@ -21,29 +26,78 @@ TOP = MAX_RPM * math.pi / 30 / GEAR
 DRIVE, HOME, DECOUPLED = 0, 1, 2
 
 
+class Motor(NamedTuple):
+    """What the controller takes from an actuator of the model, and from its joint."""
+
+    name: str
+    role: str
+    gear_ratio: float
+    encoder_ppr: int
+    encoder_offset: float
+    motor_max_speed: float = MAX_RPM * math.pi / 30.0
+
+    @property
+    def joint(self) -> Motor:
+        return self
+
+    @property
+    def upper(self) -> float | None:
+        return LIMIT if self.role == "steering" else None
+
+    lower = upper
+
+
+def motor(name: str, gear_ratio: float, encoder_ppr: int, home_angle: float = 0.0) -> Motor:
+    role = "steering" if name == "steering" else "propulsion"
+    return Motor(name, role, gear_ratio, encoder_ppr, home_angle)
+
+
+def controller(
+    wire: Wire,
+    motors: dict[Motor, IdealMotor],
+    nonvolatile: Mapping[str, int] | None = None,
+    **properties: object,
+) -> RoboteqController:
+    robot = SimpleNamespace(actuators=list(motors), joint=lambda joint: joint)
+    return RoboteqController(
+        specification(
+            wire,
+            N,
+            name="fl",
+            heartbeat=0.1,
+            nonvolatile=nonvolatile,
+            robot=robot,
+            motor=motors.get,
+            channels=tuple(Channel(own.name, own.role, own.name) for own in motors),
+            properties=tuple(properties.items()),
+            vendor_id=0x469,
+            product_code=0x2360,
+            revision_number=0x20,
+        )
+    )
+
+
 class Controller:
     """A controller with its motors; the steering is at ``angle`` (rad) at power-on."""
 
-    def __init__(self, angle: float = 0.0, operational: bool = True, **more: object) -> None:
+    def __init__(
+        self,
+        angle: float = 0.0,
+        operational: bool = True,
+        home_angle: float = 0.0,
+        nonvolatile: Mapping[str, int] | None = None,
+    ) -> None:
         self.wire = Wire(Timeline())
         self.master = Master(VirtualTimeInterface(self.wire, "master"))
         self.propulsion = IdealMotor(TOP, 7.5, 113.0)
         self.steering = IdealMotor(4.0, 20.0, 50.0, -math.pi, math.pi, position=angle)
-        self.device = RoboteqController(
-            "fl",
+        steering = motor("steering", STEERING_GEAR, STEERING_PPR, home_angle)
+        self.device = controller(
             self.wire,
-            500_000,
-            N,
-            (
-                (ChannelSettings(GEAR, PPR, MAX_RPM), self.propulsion),
-                (
-                    ChannelSettings(STEERING_GEAR, STEERING_PPR, MAX_RPM, LIMIT, steering=True),
-                    self.steering,
-                ),
-            ),
-            version=(2, 7, 1),
-            controller_type=4,
-            **more,  # type: ignore[arg-type]
+            {motor("propulsion", GEAR, PPR): self.propulsion, steering: self.steering},
+            nonvolatile,
+            script_version="2.7.1",
+            script_type=4,
         )
         self.sequence = 0
         self.device.power_on()
@@ -293,8 +347,9 @@ def test_two_propulsion_motors_on_one_controller() -> None:
     wire = Wire(Timeline())
     master = Master(VirtualTimeInterface(wire, "master"))
     left, right = (IdealMotor(TOP, 7.5) for _ in range(2))
-    settings = ChannelSettings(GEAR, PPR, MAX_RPM)
-    device = RoboteqController("c", wire, 500_000, N, ((settings, left), (settings, right)))
+    device = controller(
+        wire, {motor(name, GEAR, PPR): own for name, own in (("left", left), ("right", right))}
+    )
     device.power_on()
     master.interface.sleep(0.2)
     master.nmt(1)

@@ -215,9 +215,7 @@ def test_delivered_devices_have_neither_id_nor_parameters() -> None:
     bus.simulated.run(1.0)
     identifiers = sorted(bus.seen)
     assert identifiers == [0x1A0, 0x3C1, 0x3D1, 0x3E1, 0x728], "only devices with fixed ids"
-    serials = {
-        d.description.serial for d in bus.simulated.devices.values() if isinstance(d, CanopenDevice)
-    }
+    serials = {d.serial for d in bus.simulated.devices.values() if isinstance(d, CanopenDevice)}
     assert serials == {0x101, 0x102, 0x103, 0x104}
 
 

@@ -138,6 +138,18 @@ async def test_rename_changes_all_references(editor: Editor) -> None:
             )
 
 
+async def test_rename_changes_couplings(editor: Editor) -> None:
+    text = (ROOT / "examples/rocker_bogie/robot.yaml").read_text(encoding="utf-8")
+    place = editor.mark("robot.yaml", text.replace("  rocker_left:", "  rocker_l|eft:"))
+    answer = await editor.client.text_document_rename_async(
+        editor.at(types.RenameParams, place, new_name="port")
+    )
+    assert answer is not None
+    renamed = edited(text, list((answer.changes or {})[place[0]]))
+    assert renamed == text.replace("rocker_left", "port")
+    assert "follows: port.pivot" in renamed
+
+
 async def test_rename_of_a_carrying_module_changes_the_mounts(editor: Editor) -> None:
     editor.write("my modules/my/post/module.yaml", POST)
     editor.write("robot.lock.yaml", "thorvaldc_lock: 1\naddresses: {}\n")

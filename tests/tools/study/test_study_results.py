@@ -84,7 +84,9 @@ def test_a_study_states_what_matters(run: Command) -> None:
     result = run("study", "run", "study.yaml", "-j", "1", "-o", "out")
     assert result.status == 0, result.err
     assert "80 ok" in result.out
-    shown = json.loads(run("study", "show", "out", "--json").out)["sensitivity"]
+    shown = json.loads(run("study", "show", "study.yaml", "--results", "out", "--json").out)[
+        "sensitivity"
+    ]
     shares = {(each["objective"], each["variable"]): each for each in shown}
     assert abs(shares["width", "track"]["with_others"] - 1.0) < 0.1
     assert shares["width", "length"]["with_others"] == 0.0
@@ -93,9 +95,9 @@ def test_a_study_states_what_matters(run: Command) -> None:
     alone = {name: shares["mass", name]["alone"] for name in ("track", "length", "words")}
     assert abs(alone["track"] + alone["length"] - 1.0) < 0.3
     assert alone["words"] == 0.0
-    text = run("study", "show", "out").out
+    text = run("study", "show", "study.yaml", "--results", "out").out
     assert "shares of the variance" in text
-    assert text == run("study", "show", "out").out
+    assert text == run("study", "show", "study.yaml", "--results", "out").out
 
 
 def test_an_objective_without_variance(run: Command) -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Self
+from collections.abc import Sequence
+from typing import NamedTuple
 
 from thorvaldc.can.canopen import RPDO, TPDO, NmtState
 from thorvaldc.can.frame import CanFrame
@@ -14,7 +14,6 @@ from thorvaldc.simulation.bus.simulated_device import (
     DeviceSpecification,
     SimulatedDevice,
 )
-from thorvaldc.simulation.bus.wire import Wire
 
 BATTERY_FRAMES = (0x3C0, 0x3D0, 0x3E0)
 """Bases of the identifiers; the battery id is added."""
@@ -25,55 +24,28 @@ class SimulatedBattery(SimulatedDevice):
     """A simulated battery, whose subclass implements the method ``report``.
 
     * ``id``, ``voltage``: battery id, and battery voltage (V).
+    * ``capacity``: battery capacity (Ah).
     * ``current``: battery current (A), positive while the battery discharges.
     * ``charge``: state of charge, 0..1.
     * ``period``: time between two calls of ``report`` (s).
     """
 
-    def __init__(
-        self,
-        name: str,
-        wire: Wire,
-        bitrate: int,
-        battery_id: int,
-        *,
-        voltage: float = 48.0,
-        capacity: float = 70.0,
-        period: float = 0.1,
-        seed: int = 0,
-        nonvolatile: Mapping[str, Any] | None = None,
-    ) -> None:
-        """``capacity``: battery capacity (Ah)."""
-        memory = {NODE_ID: battery_id, **(nonvolatile or {})}
-        super().__init__(name, wire, bitrate, seed=seed, nonvolatile=memory)
-        self.period = period
-        self.voltage = voltage
-        self.capacity = capacity
+    def __init__(self, specification: DeviceSpecification) -> None:
+        """Creates a battery with the data of its module, and the shortest period of its frames."""
+        node, robot = specification.node, specification.robot
+        super().__init__(specification, {NODE_ID: node.id})
+        properties = {b.node: dict(b.properties) for b in robot.batteries}.get(node.name, {})
+        capacity = properties.get("capacity")  # the model has the capacity in A s
+        self.period = min((f.period for f in specification.sent if f.period), default=0.1)
+        self.voltage = float(properties.get("voltage") or 48.0)
+        self.capacity = float(capacity) / _SECONDS_PER_HOUR if capacity else 70.0
         self.current = 2.0
         self.charge = 0.9
         self.alarms = 0
-
-    @classmethod
-    def from_specification(cls, specification: DeviceSpecification) -> Self:
-        """Creates a battery with the data of its module, and the shortest period of its frames."""
-        node, robot = specification.node, specification.robot
-        properties = {b.node: dict(b.properties) for b in robot.batteries}.get(node.name, {})
-        capacity = properties.get("capacity")  # the model has the capacity in A s
-        device = cls(
-            specification.name,
-            specification.wire,
-            specification.bus.bitrate,
-            node.id,
-            voltage=float(properties.get("voltage") or 48.0),
-            capacity=float(capacity) / _SECONDS_PER_HOUR if capacity else 70.0,
-            period=min((f.period for f in specification.sent if f.period), default=0.1),
-            **specification.common(),
-        )
         # In parallel, each has the share of the current that keeps their states of charge equal.
         shared = [battery.capacity or 0.0 for battery in robot.common_source]
         if capacity and shared and all(shared):
-            device.current *= float(capacity) * len(shared) / float_sum(shared)
-        return device
+            self.current *= float(capacity) * len(shared) / float_sum(shared)
 
     def start(self) -> None:
         first = self.random.uniform(0.0, self.period)
@@ -127,45 +99,19 @@ class IoBoard(SimulatedDevice):
     frame with the identifier 0x180 + node id reports the outputs and inputs of the IO board.  Bits
     0 and 1 of ``outputs`` switch the two relays of the IO board.  Bits 2 to 4 of ``outputs`` switch
     the red, yellow and green light of the beacon.
+
+    * ``at_start``: states of the outputs after power-on, one bit for each output.
+    * ``period``: period of the report frame (s).
     """
 
-    def __init__(
-        self,
-        name: str,
-        wire: Wire,
-        bitrate: int,
-        node_id: int,
-        *,
-        at_start: int = 0,
-        period: float = 0.1,
-        seed: int = 0,
-        nonvolatile: Mapping[str, Any] | None = None,
-    ) -> None:
-        """Creates an IO board with the node id ``node_id``.
-
-        ``at_start`` has the states of the outputs after power-on, one bit for each output.
-        ``period`` is the period of the report frame (s).
-        """
-        memory = {NODE_ID: node_id, **(nonvolatile or {})}
-        super().__init__(name, wire, bitrate, seed=seed, nonvolatile=memory)
-        self.period = period
-        self.at_start = at_start
+    def __init__(self, specification: DeviceSpecification) -> None:
+        node = specification.node
+        super().__init__(specification, {NODE_ID: node.id})
+        relays = [bool(specification.property(f"relay_{i}_at_start")) for i in range(2)]
+        self.period = specification.period(TPDO[0] + node.id, 0.1)
+        self.at_start = int(relays[0]) | int(relays[1]) << 1
         self.outputs = 0
         self.inputs = 0
-
-    @classmethod
-    def from_specification(cls, specification: DeviceSpecification) -> Self:
-        node = specification.node
-        relays = [bool(specification.property(f"relay_{i}_at_start")) for i in range(2)]
-        return cls(
-            specification.name,
-            specification.wire,
-            specification.bus.bitrate,
-            node.id,
-            at_start=int(relays[0]) | int(relays[1]) << 1,
-            period=specification.period(TPDO[0] + node.id, 0.1),
-            **specification.common(),
-        )
 
     def start(self) -> None:
         self.outputs = self.at_start
@@ -216,32 +162,11 @@ class ForeignDevice(SimulatedDevice):
     last 64 received CAN frames, from the oldest to the newest.
     """
 
-    def __init__(
-        self,
-        name: str,
-        wire: Wire,
-        bitrate: int,
-        receives: Sequence[int],
-        sends: Sequence[ForeignFrame],
-        *,
-        seed: int = 0,
-        nonvolatile: Mapping[str, Any] | None = None,
-    ) -> None:
-        """Creates a simulated device of another maker.
-
-        ``receives`` has the identifiers of the CAN frames that command the device.  ``sends`` has
-        the CAN frames that the device sends.
-        """
-        super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
-        self._receives = tuple(receives)
-        self._sends = tuple(sends)
-        self._count = 0
-        self.commands: list[CanFrame] = []
-
-    @classmethod
-    def from_specification(cls, specification: DeviceSpecification) -> Self:
+    def __init__(self, specification: DeviceSpecification) -> None:
+        super().__init__(specification)
         data_frames = ("pdo", "broadcast", "relay")
-        sends = [
+        self._receives = [f.cob_id for f in specification.received if f.kind in data_frames]
+        self._sends = [
             ForeignFrame(
                 frame.cob_id,
                 frame.length,
@@ -251,14 +176,8 @@ class ForeignDevice(SimulatedDevice):
             for frame in specification.sent
             if frame.kind in (*data_frames, "heartbeat")
         ]
-        return cls(
-            specification.name,
-            specification.wire,
-            specification.bus.bitrate,
-            [frame.cob_id for frame in specification.received if frame.kind in data_frames],
-            sends,
-            **specification.common(),
-        )
+        self._count = 0
+        self.commands: list[CanFrame] = []
 
     def start(self) -> None:
         for cob_id in self._receives:

@@ -1,11 +1,7 @@
-"""Runs simulated CAN buses for programs in other processes, in real time or in lockstep.
+"""Runs simulated CAN buses in real time for programs in other processes.
 
 The module ``thorvaldc.can.simulated_bus_protocol`` describes the messages between a client program
-and the server.  This diagram shows lockstep with two clients (times in ms):
-
-    client A   WAIT 20 -->                          <-- TIME 10         (a frame reached it)
-    client B               WAIT 10 -->              <-- TIME 10         (its time is up)
-    server                             runs 0 to 10                     both wait: time advances
+and the server.
 """
 
 from __future__ import annotations
@@ -22,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from thorvaldc.can import simulated_bus_protocol as protocol
-from thorvaldc.can.frame import NEVER, SEND_LIMIT, CanFrame
+from thorvaldc.can.frame import SEND_LIMIT, CanFrame
 from thorvaldc.can.local_socket import Unpacker, listen, pack, pack_json, socket_path
 from thorvaldc.diagnostics.files import read_json
 from thorvaldc.simulation.bus.timeline import Timeline
@@ -51,9 +47,6 @@ class _Connection:
     unpacker: Unpacker = field(default_factory=Unpacker)
     out: bytearray = field(default_factory=bytearray)
     controller: CanController | None = None
-    lockstep: bool = False
-    waits_until: int | None = None
-    has_frame: bool = False
     lost: int = 0
     pending: int = 0
     """Number of frames of the client that were not yet reported as sent or dropped."""
@@ -105,23 +98,19 @@ class _Waiting(NamedTuple):
 class BusServer:
     """Runs simulated CAN buses and offers each bus to other processes over a local socket.
 
-    In real time, the simulated time follows the clock of the computer.  A process that runs late,
-    or computes too slowly, lags behind the clock and catches up later; it simulates the frames of
-    its clients at the times at which the clients have sent them.  ``behind`` is the largest lag
-    (ns) of the simulated time behind the clock.  If ``lockstep`` is true, the simulated time
-    advances only while all lockstep clients wait.
+    The simulated time follows the clock of the computer.  A process that runs late, or computes too
+    slowly, lags behind the clock and catches up later; it simulates the frames of its clients at
+    the times at which the clients have sent them.  ``behind`` is the largest lag (ns) of the
+    simulated time behind the clock.
     """
 
-    def __init__(
-        self, timeline: Timeline, wires: Mapping[str, Wire], *, lockstep: bool = False
-    ) -> None:
+    def __init__(self, timeline: Timeline, wires: Mapping[str, Wire]) -> None:
         """Opens a local socket for each simulated bus.
 
         ``wires`` maps each channel name to a simulated bus.  Raises ``OSError`` if another server
         already uses one of the channel names.
         """
         self.timeline = timeline
-        self.lockstep = lockstep
         self.channels = tuple(wires)
         self.behind = 0
         # The system call select has a time resolution of microseconds, and epoll only of
@@ -151,13 +140,10 @@ class BusServer:
     def run(self) -> None:
         """Runs the server until another thread or a signal handler calls ``stop``."""
         self._start = time.monotonic_ns() - self.timeline.now
-        self._epoch = 0.0 if self.lockstep else time.time() - self.timeline.seconds
+        self._epoch = time.time() - self.timeline.seconds
         try:
             while not self._stop:
-                if self.lockstep:
-                    self._step()
-                else:
-                    self._advance()
+                self._advance()
                 self._flush()
                 self._selector.select(self._wait_time())
                 # All messages that were sent before this time are now in the sockets.
@@ -194,8 +180,6 @@ class BusServer:
 
     def _wait_time(self) -> float:
         """Returns the time (s) until the next event of the simulation."""
-        if self.lockstep:
-            return 0.0 if self._all_wait() else LONGEST_WAIT
         if self._waiting:
             return 0.0
         ahead = self.timeline.next_time - (time.monotonic_ns() - self._start)
@@ -211,31 +195,6 @@ class BusServer:
             if due and connection.controller is not None and not connection.out:
                 connection.told_time = now
                 connection.put(protocol.pack_time(protocol.TIME, now))
-
-    def _all_wait(self) -> bool:
-        steppers = [c for c in self._connections if c.lockstep]
-        return bool(steppers) and all(c.waits_until is not None for c in steppers)
-
-    def _step(self) -> None:
-        """Advances the simulated time while all lockstep clients wait.
-
-        The simulation runs until a waiting client receives a CAN frame, or until the wait time of a
-        client ends.
-        """
-        if not self._all_wait():
-            return
-        steppers = [c for c in self._connections if c.lockstep]
-        until = min(c.waits_until for c in steppers if c.waits_until is not None)
-        if until >= NEVER - 1 and self.timeline.next_time >= NEVER:
-            return
-        # One call simulates at most 1 s, so that ``stop`` can end a wait without time limit.
-        end = min(until, self.timeline.now + 1_000_000_000)
-        self.timeline.run_until(end, lambda: any(c.has_frame for c in steppers))
-        for connection in steppers:
-            limit = connection.waits_until
-            if limit is not None and (connection.has_frame or self.timeline.now >= limit):
-                connection.waits_until, connection.has_frame = None, False
-                connection.put(protocol.pack_time(protocol.TIME, self.timeline.now))
 
     # -- clients ------------------------------------------------------------------------------
 
@@ -285,10 +244,7 @@ class BusServer:
                     connection.sent_at = max(connection.sent_at, sent_at)
             self._messages += 1
             message = _Waiting(connection.sent_at, self._messages, now, connection, kind, body)
-            if self.lockstep:
-                self._handle_waiting(message)
-            else:
-                heapq.heappush(self._waiting, message)
+            heapq.heappush(self._waiting, message)
 
     def _handle_rest(self, connection: _Connection) -> None:
         """Handles the waiting messages of a client that has ended."""
@@ -320,8 +276,6 @@ class BusServer:
         elif kind == protocol.RESTART and controller is not None:
             controller.restart()
             connection.send_state()
-        elif kind == protocol.WAIT and connection.lockstep:
-            connection.waits_until = protocol.unpack_time(body)
         else:
             raise ValueError(f"message {kind!r}")
 
@@ -330,13 +284,9 @@ class BusServer:
             self._refuse(connection, f"the protocol version is not {protocol.VERSION}")
             return
         wire = connection.wire
-        if hello["lockstep"] and not self.lockstep:
-            self._refuse(connection, "this bus runs in real time: lockstep is not possible")
-            return
         bitrate = hello["bitrate"] or wire.bitrate
         if not isinstance(bitrate, int) or not 0 < bitrate <= _MAXIMUM_RATE:
             raise ValueError(f"bitrate {bitrate!r}")
-        connection.lockstep = bool(hello["lockstep"])
         controller = CanController(
             wire,
             str(hello["name"]),
@@ -349,14 +299,12 @@ class BusServer:
         receive_own = bool(hello["receive_own"])
 
         def on_frame(frame: CanFrame) -> None:
-            connection.has_frame = True
             connection.put(protocol.pack_frame(protocol.FRAME, frame, self.timeline.now))
 
         def on_sent(frame: CanFrame) -> None:
             connection.pending -= 1
             connection.put(pack(protocol.SENT))
             if receive_own:
-                connection.has_frame = True
                 now = self.timeline.now
                 connection.put(protocol.pack_frame(protocol.FRAME, frame, now, own=True))
 
@@ -369,9 +317,8 @@ class BusServer:
             "version": protocol.VERSION,
             "bitrate": bitrate,
             "now": self.timeline.now,
-            "start": time.monotonic_ns() - self.timeline.now if self.lockstep else self._start,
+            "start": self._start,
             "epoch": self._epoch,
-            "lockstep": self.lockstep,
         }
         connection.put(pack_json(protocol.WELCOME, welcome))
 
@@ -381,8 +328,7 @@ class BusServer:
         self._drop(connection)
 
     def _flush(self) -> None:
-        if not self.lockstep:
-            self._tell_time()
+        self._tell_time()
         for connection in list(self._connections):
             if connection.out:
                 self._write(connection)
@@ -430,7 +376,6 @@ def serving(
     timeline: Timeline,
     wires: Mapping[str, Wire],
     *,
-    lockstep: bool = False,
     stopped: Callable[[], None] | None = None,
 ) -> Iterator[BusServer]:
     """Runs a server for simulated CAN buses in a separate thread during the ``with`` block.
@@ -438,7 +383,7 @@ def serving(
     Other threads must not use the simulated buses during the ``with`` block.  The function
     ``stopped`` is called after the server thread has ended.
     """
-    server = BusServer(timeline, wires, lockstep=lockstep)
+    server = BusServer(timeline, wires)
     thread = threading.Thread(target=server.run, name="bus server", daemon=True)
     thread.start()
     try:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Self
+from typing import Any
 
 from thorvaldc.can import canopen, lss
 from thorvaldc.can.canopen import LSS_REQUEST, LSS_RESPONSE, Emergency, NmtCommand, NmtState
@@ -29,7 +29,6 @@ from thorvaldc.simulation.bus.object_dictionary import (
 )
 from thorvaldc.simulation.bus.process_data import PdoSet
 from thorvaldc.simulation.bus.sdo_server import LssSlave, SdoServer
-from thorvaldc.simulation.bus.wire import Wire
 
 BOOT_TIME = 0.1
 """Time (s) from power-on to the boot-up message.  A random time of up to 10 % is added."""
@@ -62,22 +61,11 @@ class CanopenDevice(simulated_device.SimulatedDevice):
 
     def __init__(
         self,
-        name: str,
-        wire: Wire,
-        bitrate: int,
-        node_id: int,
-        description: simulated_device.DeviceDescription,
-        *,
-        seed: int = 0,
-        nonvolatile: Mapping[str, Any] | None = None,
+        specification: simulated_device.DeviceSpecification,
+        memory: Mapping[str, Any] | None = None,
     ) -> None:
-        memory = {
-            simulated_device.NODE_ID: node_id,
-            simulated_device.PARAMETERS: {},
-            **(nonvolatile or {}),
-        }
-        super().__init__(name, wire, bitrate, seed=seed, nonvolatile=memory)
-        self.description = description
+        stored = simulated_device.commissioned_memory(specification)
+        super().__init__(specification, {**stored, **(memory or {})})
         self.node_id = lss.UNCONFIGURED
         self.state = NmtState.INITIALISING
         self.heartbeat_stopped = False
@@ -93,9 +81,9 @@ class CanopenDevice(simulated_device.SimulatedDevice):
         self.pdos: PdoSet | None = None
         self.lss: LssSlave | None = None
         self._sdo = SdoServer(self.objects, self._respond)
-        self._quirks = description.quirks
-        self._pending_id = node_id
-        self._pending_rate = bitrate
+        self._quirks = specification.quirks
+        self._pending_id = lss.UNCONFIGURED
+        self._pending_rate = self.factory_bitrate
         self._history: list[int] = []
         self._error_register = 0
         self._heartbeats: dict[int, float] = {}
@@ -103,19 +91,17 @@ class CanopenDevice(simulated_device.SimulatedDevice):
         self._was_bus_off = False
         self.controller.on_state = self._error_state_changed
 
-    @classmethod
-    def from_specification(cls, specification: simulated_device.DeviceSpecification) -> Self:
-        return cls(
-            specification.name,
-            specification.wire,
-            specification.bus.bitrate,
-            specification.node.id,
-            simulated_device.DeviceDescription.from_specification(
-                specification, cls.device_name or cls.__name__, cls.device_type
-            ),
-            seed=specification.seed,
-            nonvolatile=simulated_device.commissioned_memory(specification),
-        )
+    @property
+    def serial(self) -> int | None:
+        """Serial number, or ``None`` for a device without a serial number and without LSS."""
+        serial = self.specification.nonvolatile.get(simulated_device.SERIAL)
+        return None if serial is None else int(serial, 16)
+
+    @property
+    def _product(self) -> tuple[int, int, int]:
+        """Vendor, product and revision in object 0x1018."""
+        node = self.specification.node
+        return node.vendor_id or 0, node.product_code or 0, node.revision_number or 0
 
     # -- for subclasses -----------------------------------------------------------------------
 
@@ -224,8 +210,8 @@ class CanopenDevice(simulated_device.SimulatedDevice):
         self.node_id = self._pending_id
         self._heartbeats = {}
         self.handlers = {}
-        if self.description.has_lss and self.description.serial is not None:
-            self._start_lss(self.description.serial)
+        if self.specification.node.lss and self.serial is not None:
+            self._start_lss(self.serial)
         if self.node_id == lss.UNCONFIGURED:
             return
         quirks = self._quirks
@@ -254,9 +240,8 @@ class CanopenDevice(simulated_device.SimulatedDevice):
         self.initialised()
 
     def _start_lss(self, serial: int) -> None:
-        description = self.description
         slave = LssSlave(
-            lss.Identity(description.vendor, description.product, description.revision, serial),
+            lss.Identity(*self._product, serial),
             lambda data: self.send(LSS_RESPONSE, data),
             lambda: self.node_id,
             set_id=self._set_pending_id,
@@ -272,8 +257,9 @@ class CanopenDevice(simulated_device.SimulatedDevice):
     # -- objects ----------------------------------------------------------------------------------
 
     def _add_standard_objects(self, objects: ObjectDictionary) -> None:
-        description = self.description
-        objects.add(0x1000, 0, Entry("u32", description.device_type, "const"))
+        specification = self.specification
+        device_type = specification.node.device_type or self.device_type
+        objects.add(0x1000, 0, Entry("u32", device_type, "const"))
         objects.add(0x1001, 0, Entry("u8", read=lambda: self._error_register))
         objects.add(
             0x1003,
@@ -289,7 +275,7 @@ class CanopenDevice(simulated_device.SimulatedDevice):
         sync = canopen.SYNC
         cob_access = "ro" if Quirk.FIXED_COB_IDS in self._quirks else "rw"
         objects.add(0x1005, 0, Entry("u32", sync, cob_access, lower=sync, upper=sync))
-        objects.add(0x1008, 0, Entry("text", description.name, "const"))
+        objects.add(0x1008, 0, Entry("text", self.device_name or type(self).__name__, "const"))
         for index in (0x1009, 0x100A):  # versions of hardware and software
             objects.add(index, 0, Entry("text", "1.0", "const"))
         objects.add_record(0x1010, Entry("u32", 1, "rw", read=lambda: 1, write=self._save))
@@ -307,11 +293,10 @@ class CanopenDevice(simulated_device.SimulatedDevice):
                 for number in range(1, CONSUMERS + 1)
             ),
         )
-        period = round(description.heartbeat_period * 1000.0)
+        in_factory_state = specification.delivered and specification.node.lss
+        period = 0 if in_factory_state else round(specification.heartbeat_period * 1000.0)
         objects.add(0x1017, 0, Entry("u16", period, "rw", stored=True))
-        identity = [description.vendor, description.product, description.revision]
-        if description.serial is not None:
-            identity.append(description.serial)
+        identity = [*self._product, *([] if self.serial is None else [self.serial])]
         objects.add_record(0x1018, *(Entry("u32", number, "const") for number in identity))
         objects.add_record(0x1029, Entry("u8", 0, "rw", upper=2, stored=True))
         objects.add_record(
@@ -501,7 +486,7 @@ class CanopenDevice(simulated_device.SimulatedDevice):
         self._pending_id = node_id
 
     def _set_pending_rate(self, bitrate: int) -> bool:
-        if bitrate not in self.description.bitrates:
+        if bitrate not in (self.specification.node.bitrates or lss.BITRATES.values()):
             return False
         self._pending_rate = bitrate
         return True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 from thorvaldc.can import canopen
 from thorvaldc.model import Actuator
@@ -478,10 +478,10 @@ class Cia402Drive(CanopenDevice):
     device_type = 0x00020192
     """Servo drive with the device profile 402."""
 
-    @classmethod
-    def from_specification(cls, specification: DeviceSpecification) -> Self:
-        node, drive = specification.node, super().from_specification(specification)
-        drive.equip(
+    def __init__(self, specification: DeviceSpecification) -> None:
+        super().__init__(specification)
+        node = specification.node
+        self.equip(
             [
                 (_axis_settings(specification, actuator, motor.direction), motor)
                 for _, actuator, motor in specification.channels()
@@ -490,7 +490,6 @@ class Cia402Drive(CanopenDevice):
             [Pdo.of_frame(f, node.id) for f in specification.sent if f.pdo is not None],
             motor_numbers(specification.bus, node),
         )
-        return drive
 
     def equip(
         self,

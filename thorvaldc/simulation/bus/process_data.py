@@ -146,6 +146,12 @@ class _ConfiguredPdo:
             position += size
 
     @property
+    def event_period(self) -> float:
+        """Event timer (s), or 0 for a PDO without an event timer or that is switched off."""
+        period: int = self.event.value
+        return period / 1000.0 if self.cob_id is not None else 0.0
+
+    @property
     def length(self) -> int:
         """Number of data bytes of the PDO."""
         sizes = [item.size if isinstance(item, Entry) else item // 8 for item in self.mapped()]
@@ -260,23 +266,8 @@ class PdoSet:
                 pdo.last = data
                 self._send(cob_id, data)
 
-    def event_period(self, index: int) -> float:
-        """Returns the event timer (s) of the TPDO at the position ``index`` in ``sent``.
-
-        Returns 0 if the TPDO has no event timer or is switched off.
-        """
-        pdo = self.sent[index]
-        period: int = pdo.event.value
-        return period / 1000.0 if pdo.cob_id is not None else 0.0
-
-    def set_event_period(self, index: int, milliseconds: int) -> None:
-        self.sent[index].event.value = milliseconds
-
     def send_now(self, index: int) -> None:
-        """Sends the TPDO at the position ``index`` in ``sent``.
-
-        A TPDO that is switched off is not sent.
-        """
+        """Sends the TPDO at the position ``index`` in ``sent``, unless it is switched off."""
         pdo = self.sent[index]
         if pdo.cob_id is not None:
             self._send(pdo.cob_id, pdo.pack())

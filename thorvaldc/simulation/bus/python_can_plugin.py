@@ -54,8 +54,7 @@ class SimulatedBus(can.BusABC):
     If the argument ``channel`` is a ``Wire``, the python-can bus runs in virtual time.  Virtual
     time advances only while the program waits in ``recv`` or ``send``.  In virtual time, the
     program must use one thread, and every run has the same result.  If the argument ``channel``
-    names a simulated bus in another process, the python-can bus runs in real time.  If ``lockstep``
-    is true, the simulated time advances only while all lockstep clients wait.  Time-outs and
+    names a simulated bus in another process, the python-can bus runs in real time.  Time-outs and
     timestamps are in s of the simulated time.
 
     The attribute ``interface`` has additional functions that python-can does not have: ``now``,
@@ -70,7 +69,6 @@ class SimulatedBus(can.BusABC):
         name: str = "python-can",
         receive_own_messages: bool = False,
         listen_only: bool = False,
-        lockstep: bool = False,
         fifo: bool = False,
         can_filters: Any = None,
         **_: Any,
@@ -90,9 +88,7 @@ class SimulatedBus(can.BusABC):
             if isinstance(channel, Wire):
                 self.interface = VirtualTimeInterface(channel, name, bitrate, **options)
             else:
-                self.interface = SimulatedBusClient(
-                    str(channel), name, bitrate, lockstep=lockstep, **options
-                )
+                self.interface = SimulatedBusClient(str(channel), name, bitrate, **options)
         except OSError as error:
             # The python-can class BusABC prints a warning if a bus is not marked as shut down.
             self._is_shutdown = True

@@ -26,19 +26,19 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Self
+from typing import Any
 
+from thorvaldc import model
 from thorvaldc.can.canopen import RPDO, TPDO, NmtState
+from thorvaldc.model import Actuator
 from thorvaldc.model.sums import float_sum
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.object_dictionary import DelayedWrite, Entry, ObjectDictionary
 from thorvaldc.simulation.bus.process_data import EVENT_DRIVEN, Pdo, PdoSet
-from thorvaldc.simulation.bus.simulated_device import DeviceDescription, DeviceSpecification
+from thorvaldc.simulation.bus.simulated_device import PARAMETERS, DeviceSpecification
 from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel, MotorState
-from thorvaldc.simulation.bus.wire import Wire
 
 # -- motor channels --------------------------------------------------------------------------------
 
@@ -165,7 +165,6 @@ EMCY_STALL, EMCY_ENCODER = 0x7121, 0x7305
 MOTOR_ERROR = 0x81
 """Value of the error register with the bits "generic" and "manufacturer-specific"."""
 
-VENDOR = 0x469
 _STATIC_POWER = 24.0
 """Electric power (W) of the controller at rest."""
 
@@ -177,7 +176,6 @@ class RoboteqController(CanopenDevice):
     A master cannot change the node id over the bus.  The method ``change_node_id`` sets the node
     id, as the configuration tool of the manufacturer does.
 
-    * ``cycles``: periods (s) of the four TPDOs.
     * ``home_angle``: true steering angle (rad) at the edge of the home switch.
     * ``home_count``: setting with the encoder count at the home switch.  If the home angle is set
       correctly, the encoder count is 0 when the wheel points straight ahead.
@@ -185,88 +183,38 @@ class RoboteqController(CanopenDevice):
       in simulations of many hours.
     """
 
+    device_name = "FBL2360"
     loop_period = LOOP_PERIOD
 
-    def __init__(
-        self,
-        name: str,
-        wire: Wire,
-        bitrate: int,
-        node_id: int,
-        channels: tuple[tuple[ChannelSettings, MotorModel], tuple[ChannelSettings, MotorModel]],
-        *,
-        description: DeviceDescription | None = None,
-        cycles: tuple[float, float, float, float] = (0.02, 0.1, 0.1, 1.0),
-        home_angle: float = 0.0,
-        version: tuple[int, int, int] = (1, 0, 0),
-        controller_type: int = 0,
-        seed: int = 0,
-        nonvolatile: Mapping[str, Any] | None = None,
-    ) -> None:
-        memory = {"direction": 0, "home_count": 0, "home_speed": 500, **(nonvolatile or {})}
-        super().__init__(
-            name,
-            wire,
-            bitrate,
-            node_id,
-            description
-            or DeviceDescription(vendor=VENDOR, product=0x2360, revision=0x20, name="FBL2360"),
-            seed=seed,
-            nonvolatile=memory,
-        )
-        self.channels = (Channel(*channels[0]), Channel(*channels[1]))
-        self.home_angle = home_angle
-        self.version = version
-        self.controller_type = controller_type
+    def __init__(self, specification: DeviceSpecification) -> None:
+        memory = {PARAMETERS: {}, "direction": 0, "home_count": 0, "home_speed": 500}
+        super().__init__(specification, memory)
+        node = specification.node
+        first, second = [
+            Channel(_channel_settings(specification, channel, actuator), motor)
+            for channel, actuator, motor in specification.channels()[:2]
+        ]
+        self.channels = first, second
+        self.home_angle = 0.0
+        for _, actuator, motor in specification.channels()[:2]:
+            if actuator is not None and actuator.encoder_offset:
+                self.home_angle = motor.direction * actuator.encoder_offset
+        self.version = _version(specification.property("script_version"))
+        self.controller_type = int(specification.property("script_type") or 0)
         self.supply_voltage = 48.0
         self.temperature = 25
         self.power_stage_error = False
         self.alignment_error = False
         self.home_switch_works = True
         self._running = False
-        self._cycles = cycles
-        self._reset_state()
-
-    @classmethod
-    def from_specification(cls, specification: DeviceSpecification) -> Self:
-        node = specification.node
-        channels = []
-        home_angle = 0.0
-        for channel, actuator, motor in specification.channels()[:2]:
-            if actuator is not None and actuator.encoder_offset:
-                home_angle = motor.direction * actuator.encoder_offset
-            if actuator is None:
-                settings = ChannelSettings(1.0, 1024, 3000.0, steering=channel.role == "steering")
-            else:
-                joint = specification.robot.joint(actuator.joint)
-                limits = [abs(limit) for limit in (joint.lower, joint.upper) if limit is not None]
-                settings = ChannelSettings(
-                    actuator.gear_ratio,
-                    actuator.encoder_ppr,
-                    actuator.motor_max_speed * 30.0 / math.pi,
-                    max(limits, default=math.pi),
-                    actuator.role == "steering",
-                )
-            channels.append((settings, motor))
         status_period = specification.period(TPDO[1] + node.id, 0.1)
-        return cls(
-            specification.name,
-            specification.wire,
-            specification.bus.bitrate,
-            node.id,
-            (channels[0], channels[1]),
-            description=DeviceDescription.from_specification(specification, "FBL2360"),
-            cycles=(
-                specification.period(TPDO[0] + node.id, specification.bus.sync_period),
-                status_period,
-                status_period,
-                specification.period(TPDO[3] + node.id, 1.0),
-            ),
-            version=_version(specification.property("script_version")),
-            controller_type=int(specification.property("script_type") or 0),
-            home_angle=home_angle,
-            **specification.common(),
+        self._cycles = (
+            specification.period(TPDO[0] + node.id, specification.bus.sync_period),
+            status_period,
+            status_period,
+            specification.period(TPDO[3] + node.id, 1.0),
         )
+        self._reset_state()
 
     # -- start and stop --------------------------------------------------------------------
 
@@ -300,7 +248,7 @@ class RoboteqController(CanopenDevice):
             self.every(partial(self._cycle, index), partial(self._send_tpdo, index), first=first)
 
     def _cycle(self, index: int) -> float:
-        return self.pdos.event_period(index) if self.pdos is not None else 0.0
+        return self.pdos.sent[index].event_period if self.pdos is not None else 0.0
 
     def _send_tpdo(self, index: int) -> None:
         if self.state is NmtState.OPERATIONAL and self.pdos is not None:
@@ -406,7 +354,7 @@ class RoboteqController(CanopenDevice):
         elif setup in (5, 7) and value >= 0:
             (first if setup == 5 else second).acceleration = float(value)
         elif 8 <= setup <= 11 and 0 <= value <= 32767 and self.pdos is not None:
-            self.pdos.set_event_period(setup - 8, value)
+            self.pdos.sent[setup - 8].event.value = value
         else:
             self.illegal_command = True
 
@@ -573,6 +521,22 @@ class RoboteqController(CanopenDevice):
         """
         state = channel.state
         return abs(state.torque * state.velocity) + 4.0 * abs(state.velocity)
+
+
+def _channel_settings(
+    specification: DeviceSpecification, channel: model.Channel, actuator: Actuator | None
+) -> ChannelSettings:
+    if actuator is None:
+        return ChannelSettings(1.0, 1024, 3000.0, steering=channel.role == "steering")
+    joint = specification.robot.joint(actuator.joint)
+    limits = [abs(limit) for limit in (joint.lower, joint.upper) if limit is not None]
+    return ChannelSettings(
+        actuator.gear_ratio,
+        actuator.encoder_ppr,
+        actuator.motor_max_speed * 30.0 / math.pi,
+        max(limits, default=math.pi),
+        actuator.role == "steering",
+    )
 
 
 def _version(text: Any) -> tuple[int, int, int]:

@@ -6,7 +6,7 @@ import random
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any
 
 from thorvaldc.can import lss
 from thorvaldc.can.canopen import HEARTBEAT
@@ -34,7 +34,7 @@ class SimulatedDevice:
     ``handlers`` has a function for each 11-bit CAN identifier that the device receives, and
     ``remote_handlers`` one for each identifier of a remote frame.  The device calls the frame
     handlers with a short random delay, in the order of the received frames.
-    ``seed`` and ``name`` determine the random delays of the device.
+    The seed and the name of the specification determine the random delays of the device.
 
     A device is inactive before ``power_on``.  A loss of power stops all timers and clears the send
     queue and the volatile state of the device.  The mapping ``nonvolatile`` is the non-volatile
@@ -47,25 +47,22 @@ class SimulatedDevice:
     """
 
     def __init__(
-        self,
-        name: str,
-        wire: Wire,
-        bitrate: int,
-        *,
-        seed: int = 0,
-        nonvolatile: Mapping[str, Any] | None = None,
+        self, specification: DeviceSpecification, memory: Mapping[str, Any] | None = None
     ) -> None:
-        """Creates the device without power.
+        """Creates the device of a node without power.
 
-        ``bitrate`` is the factory setting of the bitrate (bit/s).  A bitrate in ``nonvolatile``
-        replaces the factory setting.
+        ``memory`` is what the non-volatile memory contains, unless the specification replaces it.
         """
-        self.name = name
-        self.wire = wire
-        self.timeline = wire.timeline
-        self.random = random.Random(f"{seed}:{name}")
-        self.factory_bitrate = bitrate
-        self.nonvolatile: dict[str, Any] = {BITRATE: bitrate, **(nonvolatile or {})}
+        self.specification = specification
+        self.name, self.wire = specification.name, specification.wire
+        self.timeline = self.wire.timeline
+        self.random = random.Random(f"{specification.seed}:{self.name}")
+        self.factory_bitrate = specification.bus.bitrate
+        self.nonvolatile: dict[str, Any] = {
+            BITRATE: self.factory_bitrate,
+            **(memory or {}),
+            **specification.nonvolatile,
+        }
         self.write_time = WRITE_TIME
         self.torn_writes = False
         """True if a loss of power during a write destroys the values of the write."""
@@ -73,26 +70,13 @@ class SimulatedDevice:
         self.powered = False
         self.handlers: dict[int, Callable[[CanFrame], None]] = {}
         self.remote_handlers: dict[int, Callable[[CanFrame], None]] = {}
-        self.controller = CanController(wire, name, bitrate)
+        self.controller = CanController(self.wire, self.name, self.factory_bitrate)
         self.controller.on_frame = self._schedule_handler
-        wire.attach(self.controller)
+        self.wire.attach(self.controller)
         self._life = 0
         """Number of starts of the device.  Timers from before the last start have no effect."""
         self._handled_until = 0
         self._writing: dict[str, Any] = {}
-
-    @classmethod
-    def from_specification(cls, specification: DeviceSpecification) -> Self:
-        """Creates the simulated device of a node.
-
-        A subclass whose constructor has other arguments overrides this method.
-        """
-        return cls(
-            specification.name,
-            specification.wire,
-            specification.bus.bitrate,
-            **specification.common(),
-        )
 
     # -- power ------------------------------------------------------------------------------
 
@@ -268,7 +252,7 @@ class SimulatedDevice:
 
 @dataclass
 class DeviceSpecification:
-    """The data of a CAN node from which ``SimulatedDevice.from_specification`` creates a device.
+    """The data of a CAN node from which a ``SimulatedDevice`` is created.
 
     * ``robot``: robot of the node.
     * ``bus``: bus of the node.
@@ -345,10 +329,6 @@ class DeviceSpecification:
         """
         return IdealMotor(1.0, 1.0) if actuator is None else self.motor(actuator)
 
-    def common(self) -> dict[str, Any]:
-        """Returns the keyword arguments that every subclass of ``SimulatedDevice`` accepts."""
-        return {"seed": self.seed, "nonvolatile": self.nonvolatile}
-
 
 # -- identity and wiring of a device ---------------------------------------------------------------
 
@@ -378,52 +358,6 @@ def hardware(robot: Robot, node: Node, name: str) -> dict[str, Any]:
 
 NODE_ID, PARAMETERS = "node_id", "parameters"
 """Keys of the values in non-volatile memory."""
-
-
-@dataclass(frozen=True, slots=True)
-class DeviceDescription:
-    """Identity and supported services of a simulated CANopen device.
-
-    * ``serial``: serial number, or ``None`` for a device without serial number and without LSS.
-    * ``heartbeat_period``: period of the heartbeat (s).
-    * ``bitrates``: supported bitrates (bit/s).
-    * ``quirks``: deviations from the default behaviour.
-    * ``has_lss``: true if a device with a serial number has LSS.
-    """
-
-    device_type: int = 0
-    vendor: int = 0
-    product: int = 0
-    revision: int = 0
-    serial: int | None = None
-    name: str = ""
-    heartbeat_period: float = 0.1
-    bitrates: tuple[int, ...] = tuple(lss.BITRATES.values())
-    quirks: frozenset[Quirk] = frozenset()
-    has_lss: bool = True
-
-    @classmethod
-    def from_specification(
-        cls, specification: DeviceSpecification, name: str, device_type: int = 0
-    ) -> DeviceDescription:
-        """Returns the description of a node of a robot.
-
-        ``device_type`` applies if the node does not have a device type.
-        """
-        node, serial = specification.node, specification.nonvolatile.get(SERIAL)
-        factory_state = specification.delivered and node.lss
-        return cls(
-            device_type=node.device_type or device_type,
-            vendor=node.vendor_id or 0,
-            product=node.product_code or 0,
-            revision=node.revision_number or 0,
-            serial=None if serial is None else int(serial, 16),
-            name=name,
-            heartbeat_period=0.0 if factory_state else specification.heartbeat_period,
-            bitrates=node.bitrates or tuple(lss.BITRATES.values()),
-            quirks=specification.quirks,
-            has_lss=node.lss,
-        )
 
 
 def commissioned_memory(specification: DeviceSpecification) -> dict[str, Any]:

@@ -63,9 +63,9 @@ def create_device(specification: DeviceSpecification) -> SimulatedDevice:
     node = specification.node
     device = SIMULATED_DEVICES.load(node.protocol)
     if not isinstance(device, PluginFailure):
-        return device.from_specification(specification)
+        return device(specification)
     if device.unknown:
-        return ForeignDevice.from_specification(specification)
+        return ForeignDevice(specification)
     raise DiagnosticError(
         "bus-driver-unknown",
         f"the simulated device for `{node.protocol}` {device.reason}",

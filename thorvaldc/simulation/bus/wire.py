@@ -105,8 +105,6 @@ class CanController:
     * ``on_frame``: function that the controller calls for each received frame.
     * ``on_sent``: function that the controller calls after a frame was sent.
     * ``on_state``: function that the controller calls after a change of the error state.
-    * ``accepts``: filter for received frames.  If the filter returns ``False``, the CAN controller
-      acknowledges the received CAN frame, adds 1 to ``lost``, and drops the CAN frame.
     """
 
     def __init__(
@@ -130,13 +128,9 @@ class CanController:
         self.on_frame: Callable[[CanFrame], None] | None = None
         self.on_sent: Callable[[CanFrame], None] | None = None
         self.on_state: Callable[[ErrorState], None] | None = None
-        self.accepts: Callable[[CanFrame], bool] | None = None
         self.transmit_errors = 0
         self.receive_errors = 0
         self.sent = 0
-        self.received = 0
-        self.refused = 0
-        self.lost = 0
         self.powered = False
         self.bus_off = False
         self.queue: list[QueuedFrame] = []
@@ -170,7 +164,6 @@ class CanController:
         Returns ``False`` if the send queue is full or the CAN controller cannot send.
         """
         if not self.online or self.listen_only or len(self.queue) >= self.queue_limit:
-            self.refused += 1
             return False
         self._queued += 1
         priority = 0 if self.fifo else frame.arbitration
@@ -264,22 +257,18 @@ class CanController:
         """Receives a valid CAN frame and decreases the receive error counter.
 
         The receive error counter decreases by 1, or from a value above 127 to 127 (ISO 11898-1).
-        If ``lost`` is true, the CAN controller treats the CAN frame as ``accepts`` would do with a
-        CAN frame that the filter drops.
+        If ``lost`` is true, the CAN controller acknowledges the CAN frame and drops it.
         """
         errors = self.receive_errors
         if errors:
             previous = self.state
             self.receive_errors = 127 if errors > 127 else errors - 1
             self._report_change(previous)
-        if lost or (self.accepts is not None and not self.accepts(frame)):
-            self.lost += 1
-        else:
+        if not lost:
             self.deliver(frame)
 
     def deliver(self, frame: CanFrame) -> None:
         """Passes a CAN frame to the device or program that owns the CAN controller."""
-        self.received += 1
         if self.on_frame is not None:
             self.on_frame(frame)
 

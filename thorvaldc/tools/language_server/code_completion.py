@@ -302,13 +302,12 @@ def tree_around(
     """Returns the YAML tree of a document in which a user types.
 
     If the document is not valid YAML, the brackets around the cursor are closed at the end of the
-    cursor's line.
+    cursor's line, and other lines with errors are left out.
     """
     node = read_text(source.text.encode("utf-8", "surrogatepass"), file, Report())
-    if node is not None or len(source.text) > open_document.MAX_REPAIRED:
+    if node is not None:
         return node
     end = source.offset_of(source.line_index(offset) + 1, 1 << 30)
     word = "x" if cursor.slot != "key" and not cursor.prefix else ""
     closed = source.text[:offset] + word + cursor.quote + cursor.closing + source.text[end:]
-    node = read_text(closed.encode("utf-8", "surrogatepass"), file, Report())
-    return node if node is not None else open_document.tree_of(source, file)
+    return open_document.tree_of(open_document.SourceText(closed), file)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +17,6 @@ from thorvaldc.tools.language_server import code_completion, module_references, 
 from thorvaldc.tools.language_server.cursor import cursor_at
 from thorvaldc.tools.language_server.hover import hover_at
 from thorvaldc.tools.language_server.module_view import ModuleView
-
-MAX_VIEWS = 16
-"""Number of documents whose modules stay in memory."""
 
 
 class RenameError(Exception):
@@ -47,144 +43,136 @@ class Session:
     has_snippets: bool
 
 
-class Features:
-    """Answers requests of an editor about one document, with the unsaved texts of all documents.
+def _view(document: open_document.OpenDocument, session: Session) -> ModuleView | None:
+    """Returns the modules of a document, ``None`` if it is not one of thorvaldc."""
+    if document.kind is None:
+        return None
+    return ModuleView(document.kind, document.path, document.tree, session.folders)
 
-    All methods run in one thread, which is not the thread of the protocol.
-    """
 
-    def __init__(self) -> None:
-        self._views: OrderedDict[object, ModuleView] = OrderedDict()
+# -- one document -------------------------------------------------------------------
 
-    def _view(self, document: open_document.OpenDocument, session: Session) -> ModuleView | None:
-        """Returns the modules of a document, from the cache if no open text has changed.
 
-        Returns ``None`` if the document is not one of thorvaldc.
-        """
-        if document.kind is None:
-            return None
-        key = (document.uri, tuple(session.texts.items()), session.folders)
-        if key not in self._views:
-            view = ModuleView(document.kind, document.path, document.tree, session.folders)
-            self._views[key] = view
-            while len(self._views) > MAX_VIEWS:
-                self._views.popitem(last=False)
-        return self._views[key]
+def hover(
+    document: open_document.OpenDocument, params: types.HoverParams, session: Session
+) -> types.Hover | None:
+    view = _view(document, session)
+    if view is None:
+        return None
+    model = session.models.get(document.uri)
+    answer = hover_at(view, model, *document.source.line_and_column(params.position))
+    if answer is None:
+        return None
+    text, span = answer
+    content = types.MarkupContent(types.MarkupKind.Markdown, text)
+    return types.Hover(content, document.source.range(span))
 
-    # -- one document -------------------------------------------------------------------
 
-    def hover(
-        self, document: open_document.OpenDocument, params: types.HoverParams, session: Session
-    ) -> types.Hover | None:
-        view = self._view(document, session)
-        if view is None:
-            return None
-        model = session.models.get(document.uri)
-        answer = hover_at(view, model, *document.source.line_and_column(params.position))
-        if answer is None:
-            return None
-        text, span = answer
-        content = types.MarkupContent(types.MarkupKind.Markdown, text)
-        return types.Hover(content, document.source.range(span))
+def completion(
+    document: open_document.OpenDocument, params: types.CompletionParams, session: Session
+) -> types.CompletionList | None:
+    if document.kind is None:
+        return None
+    offset = document.source.offset(params.position)
+    cursor = cursor_at(document.text, offset)
+    tree = code_completion.tree_around(document.source, cursor, offset, str(document.path))
+    view = ModuleView(document.kind, document.path, tree, session.folders)
+    items = [
+        _completion_item(document.source, cursor.start, offset, number, proposal)
+        for number, proposal in enumerate(
+            code_completion.proposals_at(view, cursor, session.models)
+        )
+        if session.has_snippets or not proposal.is_snippet
+    ]
+    return types.CompletionList(False, items)
 
-    def completion(
-        self, document: open_document.OpenDocument, params: types.CompletionParams, session: Session
-    ) -> types.CompletionList | None:
-        if document.kind is None:
-            return None
-        offset = document.source.offset(params.position)
-        cursor = cursor_at(document.text, offset)
-        tree = code_completion.tree_around(document.source, cursor, offset, str(document.path))
-        view = ModuleView(document.kind, document.path, tree, session.folders)
-        items = [
-            _completion_item(document.source, cursor.start, offset, number, proposal)
-            for number, proposal in enumerate(
-                code_completion.proposals_at(view, cursor, session.models)
-            )
-            if session.has_snippets or not proposal.is_snippet
-        ]
-        return types.CompletionList(False, items)
 
-    def definition(
-        self, document: open_document.OpenDocument, params: types.DefinitionParams, session: Session
-    ) -> types.Location | None:
-        view = self._view(document, session)
-        if view is None:
-            return None
-        line, column = document.source.line_and_column(params.position)
-        target = module_references.definition_at(view, line, column)
-        return _location(*target, document, session) if target is not None else None
+def definition(
+    document: open_document.OpenDocument, params: types.DefinitionParams, session: Session
+) -> types.Location | None:
+    view = _view(document, session)
+    if view is None:
+        return None
+    line, column = document.source.line_and_column(params.position)
+    target = module_references.definition_at(view, line, column)
+    return _location(*target, document, session) if target is not None else None
 
-    def symbols(
-        self, document: open_document.OpenDocument, params: object, session: object
-    ) -> list[types.DocumentSymbol]:
-        if document.kind is None or document.tree is None:
-            return []
-        return _symbols(document.tree, document.source)
 
-    # -- references ---------------------------------------------------------------------
+def symbols(
+    document: open_document.OpenDocument, params: object, session: object
+) -> list[types.DocumentSymbol]:
+    if document.kind is None or document.tree is None:
+        return []
+    return _symbols(document.tree, document.source)
 
-    def _module(
-        self, document: open_document.OpenDocument, position: types.Position, session: Session
-    ) -> tuple[ModuleView, str, Span] | None:
-        """Returns the name of the module at a position of a robot or assembly, and its span."""
-        view = self._view(document, session)
-        if view is None or document.kind not in ("robot", "module"):
-            return None
-        line, column = document.source.line_and_column(position)
-        module = module_references.module_at(view, line, column)
-        return (view, *module) if module is not None else None
 
-    def _uses(
-        self, document: open_document.OpenDocument, position: types.Position, session: Session
-    ) -> tuple[ModuleView, list[module_references.Use]] | None:
-        module = self._module(document, position, session)
-        if module is None or module[0].tree.get("modules") is None:
-            return None
-        view, name, _ = module
-        others = open_document.workspace_documents(session.workspace, session.texts, session.uris)
-        return view, module_references.uses_of(view, document, name, others)
+# -- references ---------------------------------------------------------------------
 
-    def references(
-        self, document: open_document.OpenDocument, params: types.ReferenceParams, session: Session
-    ) -> list[types.Location]:
-        answer = self._uses(document, params.position, session)
-        return [
-            types.Location(use.document.uri, use.document.source.range(use.span))
-            for use in (answer[1] if answer is not None else [])
-            if params.context.include_declaration or not use.is_definition
-        ]
 
-    def prepare_rename(
-        self,
-        document: open_document.OpenDocument,
-        params: types.PrepareRenameParams,
-        session: Session,
-    ) -> types.PrepareRenamePlaceholder | None:
-        module = self._module(document, params.position, session)
-        if module is None:
-            return None
-        _, name, span = module
-        return types.PrepareRenamePlaceholder(document.source.range(span), name)
+def _module(
+    document: open_document.OpenDocument, position: types.Position, session: Session
+) -> tuple[ModuleView, str, Span] | None:
+    """Returns the name of the module at a position of a robot or assembly, and its span."""
+    view = _view(document, session)
+    if view is None or document.kind not in ("robot", "module"):
+        return None
+    line, column = document.source.line_and_column(position)
+    module = module_references.module_at(view, line, column)
+    return (view, *module) if module is not None else None
 
-    def rename(
-        self, document: open_document.OpenDocument, params: types.RenameParams, session: Session
-    ) -> types.WorkspaceEdit:
-        """Returns the changes of all documents.  Raises ``RenameError``."""
-        answer = self._uses(document, params.position, session)
-        if answer is None:
-            raise RenameError("only modules of a robot or assembly can be renamed")
-        view, uses = answer
-        name = params.new_name
-        if module_references.NAME.fullmatch(name) is None:
-            raise RenameError(f"`{name}` is no name: small letters, digits and `_`, a letter first")
-        if name in entries(view.tree.get("modules")):
-            raise RenameError(f"there is already a module `{name}`")
-        changes: dict[str, list[types.TextEdit]] = {}
-        for use in uses:
-            edit = types.TextEdit(use.document.source.range(use.span), name)
-            changes.setdefault(use.document.uri, []).append(edit)
-        return types.WorkspaceEdit(changes)
+
+def _uses(
+    document: open_document.OpenDocument, position: types.Position, session: Session
+) -> tuple[ModuleView, list[module_references.Use]] | None:
+    module = _module(document, position, session)
+    if module is None or module[0].tree.get("modules") is None:
+        return None
+    view, name, _ = module
+    others = open_document.workspace_documents(session.workspace, session.texts, session.uris)
+    return view, module_references.uses_of(view, document, name, others)
+
+
+def references(
+    document: open_document.OpenDocument, params: types.ReferenceParams, session: Session
+) -> list[types.Location]:
+    answer = _uses(document, params.position, session)
+    return [
+        types.Location(use.document.uri, use.document.source.range(use.span))
+        for use in (answer[1] if answer is not None else [])
+        if params.context.include_declaration or not use.is_definition
+    ]
+
+
+def prepare_rename(
+    document: open_document.OpenDocument,
+    params: types.PrepareRenameParams,
+    session: Session,
+) -> types.PrepareRenamePlaceholder | None:
+    module = _module(document, params.position, session)
+    if module is None:
+        return None
+    _, name, span = module
+    return types.PrepareRenamePlaceholder(document.source.range(span), name)
+
+
+def rename(
+    document: open_document.OpenDocument, params: types.RenameParams, session: Session
+) -> types.WorkspaceEdit:
+    """Returns the changes of all documents.  Raises ``RenameError``."""
+    answer = _uses(document, params.position, session)
+    if answer is None:
+        raise RenameError("only modules of a robot or assembly can be renamed")
+    view, uses = answer
+    name = params.new_name
+    if module_references.NAME.fullmatch(name) is None:
+        raise RenameError(f"`{name}` is no name: small letters, digits and `_`, a letter first")
+    if name in entries(view.tree.get("modules")):
+        raise RenameError(f"there is already a module `{name}`")
+    changes: dict[str, list[types.TextEdit]] = {}
+    for use in uses:
+        edit = types.TextEdit(use.document.source.range(use.span), name)
+        changes.setdefault(use.document.uri, []).append(edit)
+    return types.WorkspaceEdit(changes)
 
 
 def _completion_item(

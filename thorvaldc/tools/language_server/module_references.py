@@ -26,20 +26,21 @@ from thorvaldc.tools.language_server.module_view import ModuleView
 
 _DOTTED = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*")
 _NAME = re.compile(r"[A-Za-z_]\w*")
+_Dotted = Literal["module", "port", "motor", "joint"]
 
 
 @dataclass(frozen=True)
 class Reference:
     """A name in a document that refers to something.
 
-    - ``kind``: ``module`` of the document; ``port`` or ``motor`` of such a module; ``type`` of a
-      module; ``file``; ``name`` of a parameter or `let` value in an expression.
+    - ``kind``: ``module`` of the document; ``port``, ``motor`` or ``joint`` of such a module;
+      ``type`` of a module; ``file``; ``name`` of a parameter or `let` value in an expression.
     - ``name``: the name, such as ``front_left``, or the path of a file.
     - ``whole``: the dotted reference up to the name, such as ``frame.front_left``.
     - ``span``: span of the name.
     """
 
-    kind: Literal["module", "port", "motor", "type", "file", "name"]
+    kind: Literal["module", "port", "motor", "joint", "type", "file", "name"]
     name: str
     whole: str
     span: Span
@@ -73,7 +74,7 @@ def references_of(view: ModuleView, path: tuple[str | int, ...], node: Node) -> 
         yield Reference("file", text, text, node.span)
 
 
-def _dotted_kind(path: tuple[str | int, ...]) -> Literal["module", "port", "motor"] | None:
+def _dotted_kind(path: tuple[str | int, ...]) -> _Dotted | None:
     """Returns what the last name of a dotted reference at a path names."""
     inside = path[2:] if path[:1] == ("modules",) and len(path) > 2 else ()
     if inside in (("mount",), ("mount", "port")):
@@ -84,14 +85,14 @@ def _dotted_kind(path: tuple[str | int, ...]) -> Literal["module", "port", "moto
         return "motor"
     if len(path) == 3 and path[0] == "extras" and path[2] == "parent":
         return "port"
+    if len(path) == 3 and path[0] == "couplings" and path[2] in ("joint", "follows"):
+        return "joint"
     if len(path) == 2 and path[0] in ("ports", "motors"):
         return "port" if path[0] == "ports" else "motor"
     return "module" if path == ("can",) else None
 
 
-def _dotted(
-    view: ModuleView, node: Node, text: str, kind: Literal["module", "port", "motor"]
-) -> Iterator[Reference]:
+def _dotted(view: ModuleView, node: Node, text: str, kind: _Dotted) -> Iterator[Reference]:
     if _DOTTED.fullmatch(text) is None:
         return
     names = text.split(".")
@@ -305,7 +306,7 @@ def _target(view: ModuleView, reference: Reference) -> Target | None:
     if reference.kind == "name":
         return _name_target(view, reference)
     owner = reference.whole.rpartition(".")[0]
-    section = {"module": "modules", "port": "ports", "motor": "motors"}[reference.kind]
+    section = f"{reference.kind}s"
     if not owner:
         node = open_document.node_at(view.tree, ("modules", reference.name))
         return (view.path, node.where) if node is not None else None

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # A source span counts lines and Unicode characters from 1. The protocol counts lines from 0, and
 # columns in UTF-16 code units from 0: a character above U+FFFF has two code units.
 
-LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n|\Z)")
+_LINE_END = re.compile(r"(?<=\n)|(?<=\r)(?!\n)")
 
 
 class SourceText:
@@ -39,16 +39,8 @@ class SourceText:
 
     def __init__(self, text: str) -> None:
         self.text = text
-        self.starts = [0]
-        for line in LINE.finditer(text):
-            if line[0].endswith(("\r", "\n")):
-                self.starts.append(line.end())
-
-    @cached_property
-    def lines(self) -> list[str]:
-        """The lines with their line breaks."""
-        bounds = [*self.starts, len(self.text)]
-        return [self.text[start:end] for start, end in itertools.pairwise(bounds)]
+        self.lines = _LINE_END.split(text)  # with their line breaks
+        self.starts = [0, *itertools.accumulate(map(len, self.lines[:-1]))]
 
     def line(self, index: int) -> str:
         """Returns the line with the index from 0, without its line break."""
@@ -58,16 +50,8 @@ class SourceText:
         """Returns the offset of the character at a position; positions outside are moved inside."""
         if position.line >= len(self.starts):
             return len(self.text)
-        line, column = self.line(position.line), position.character
-        if not line.isascii():
-            units, count = 0, 0
-            for character in line:
-                if units >= column:
-                    break
-                units += 2 if ord(character) > 0xFFFF else 1
-                count += 1
-            column = count
-        return self.starts[position.line] + min(column, len(line))
+        units = _utf16(self.line(position.line))[: 2 * position.character]
+        return self.starts[position.line] + len(units.decode("utf-16-le", "replace"))
 
     def position(self, offset: int) -> Position:
         """Returns the position of the character at an offset."""
@@ -75,7 +59,7 @@ class SourceText:
 
         offset = max(0, min(offset, len(self.text)))
         index = self.line_index(offset)
-        return Position(index, _units(self.text[self.starts[index] : offset]))
+        return Position(index, len(_utf16(self.text[self.starts[index] : offset])) // 2)
 
     def line_index(self, offset: int) -> int:
         """Returns the index from 0 of the line at an offset."""
@@ -107,9 +91,8 @@ class SourceText:
         return self.text[start : self.offset_of(span.end_line, span.end_column)]
 
 
-def _units(text: str) -> int:
-    """Returns the number of UTF-16 code units of a text."""
-    return len(text) if text.isascii() else len(text) + len([c for c in text if ord(c) > 0xFFFF])
+def _utf16(text: str) -> bytes:
+    return text.encode("utf-16-le", "surrogatepass")
 
 
 # -- the YAML tree, and the node at a position ------------------------------------------

@@ -26,7 +26,8 @@ from thorvaldc.compiler.validation.document_check import check
 from thorvaldc.diagnostics import Diagnostic, Fix, Report, Severity, Span
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.schema import Kind
-from thorvaldc.tools.language_server.features import Features, RenameError, Session
+from thorvaldc.tools.language_server import features
+from thorvaldc.tools.language_server.features import RenameError, Session
 from thorvaldc.tools.language_server.open_document import (
     OpenDocument,
     open_document,
@@ -69,7 +70,6 @@ class ThorvaldcServer(LanguageServer):
         self._notification(types.SHUTDOWN, self._shutdown)
 
     def _register_requests(self) -> None:
-        features = Features()
         self._request(types.TEXT_DOCUMENT_HOVER, features.hover)
         self._request(
             types.TEXT_DOCUMENT_COMPLETION,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from thorvaldc.compiler.source.node import Node, Value, insertion, yaml_text
@@ -20,41 +21,20 @@ class PathError(Exception):
 
 
 def find_value(document: Node, path: str) -> tuple[Node, tuple[str, ...]]:
-    """Returns the value at a path, or the last mapping on the path and the keys that it lacks.
-
-    Raises ``PathError`` if the path continues below a single value or names no element of a list.
-    """
+    """Returns the value at a path, or the last value on the path and the keys that it lacks."""
     keys, node = path.split("."), document
     for index, key in enumerate(keys):
-        if isinstance(node.value, dict):
-            if key not in node.value:
-                return node, tuple(keys[index:])
-            node = node.value[key]
-        elif isinstance(node.value, tuple):
-            if not (key.isascii() and key.isdigit() and int(key) < len(node.value)):
-                parents = ".".join(keys[:index])
-                raise PathError(f"`{parents}` is a list of {len(node.value)} and has no `{key}`")
-            node = node.value[int(key)]
-        else:
-            raise PathError(f"`{'.'.join(keys[:index])}` is a single value and has no `{key}`")
+        inner = {str(name): child for name, child in node.children()}.get(key)
+        if inner is None:
+            return node, tuple(keys[index:])
+        node = inner
     return node, ()
 
 
 def shared_spans(document: Node) -> set[Span]:
     """Returns the spans of the scalars that occur several times, as aliases of an anchor."""
-    seen: set[Span] = set()
-    shared: set[Span] = set()
-    pending = [document]
-    while pending:
-        node = pending.pop()
-        if isinstance(node.value, dict):
-            pending += node.value.values()
-        elif isinstance(node.value, tuple):
-            pending += node.value
-        elif node.span in seen:
-            shared.add(node.span)
-        seen.add(node.span)
-    return shared
+    spans = Counter(n.span for _, n in document.walk() if not isinstance(n.value, dict | tuple))
+    return {span for span, number in spans.items() if number > 1}
 
 
 def with_replaced_values(text: str, values: Iterable[tuple[str, Value]]) -> str:
@@ -79,7 +59,7 @@ def with_replaced_values(text: str, values: Iterable[tuple[str, Value]]) -> str:
     for path, value in missing:
         # Each addition moves the text behind it.
         mapping, keys = find_value(_parsed(text), path)
-        if not keys or mapping.span.line == 0:
+        if not keys or not isinstance(mapping.value, dict) or mapping.span.line == 0:
             raise PathError(f"`{path}` cannot be added")
         added = value_text(value)
         for key in reversed(keys[1:]):

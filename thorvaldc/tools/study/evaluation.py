@@ -279,14 +279,14 @@ def results_on_dask(
     suspects: list[tuple[str, Design]] = []
     finished = distributed.as_completed(loop=client.loop)
 
-    def submit(number: int, items: Iterator[tuple[str, Design]]) -> None:
-        for key, design in islice(items, number):
-            future = client.submit(evaluate_on_worker, pickled, expected, design, pure=False)
-            running[future] = key, design
-            finished.add(future)
+    def submit(key: str, design: Design, /, **options: Any) -> None:
+        future = client.submit(evaluate_on_worker, pickled, expected, design, **options)
+        running[future] = key, design
+        finished.add(future)
 
     try:
-        submit(MOST_TASKS, remaining)
+        for key, design in islice(remaining, MOST_TASKS):
+            submit(key, design, pure=False)
         for future in finished:
             key, design = running[future]
             try:
@@ -305,14 +305,11 @@ def results_on_dask(
                     )
                 yield key, result
             del running[future]
-            submit(1, remaining)
+            for key, design in islice(remaining, 1):
+                submit(key, design, pure=False)
             if not running and suspects:
                 key, design = suspects.pop()
-                future = client.submit(
-                    evaluate_on_worker, pickled, expected, design, key=f"alone-{key}"
-                )
-                running[future] = key, design
-                finished.add(future)
+                submit(key, design, key=f"alone-{key}")
     except (OSError, distributed.client.FutureCancelledError) as error:
         raise OutsideError(
             f"the connection to the Dask scheduler is lost ({type(error).__name__}): all finished"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json as json_text
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -70,9 +71,7 @@ def run_study(
 
 
 def show_study(
-    source: Annotated[
-        str, typer.Argument(metavar="STUDY|DIR", help="A study, or the folder of its results.")
-    ],
+    study: StudyFile,
     figures: Annotated[
         str, typer.Option("--html", metavar="OUT.html", help="Write plots as a web page (Plotly).")
     ] = "",
@@ -85,33 +84,17 @@ def show_study(
     from thorvaldc.diagnostics.files import write_file
     from thorvaldc.tools.study.designs import required
     from thorvaldc.tools.study.study_figures import figures_page
-    from thorvaldc.tools.study.study_results import read_table
 
-    folder, opened = Path(source), None
     if figures:
         options.check_output(figures, ["html", "htm"], "--html")
-    if folder.is_dir() and (figures or results):
-        option = "--html" if figures else "--results"
-        raise typer.BadParameter("needs the study, not its folder", param_hint=f"'{option}'")
-    if not folder.is_dir():
-        opened = _open_study(source, library, trust)
-        if opened is None:
-            return INPUT
-        folder = opened.results_folder(results)
+    opened = _open_study(study, library, trust)
+    if opened is None:
+        return INPUT
     if figures:
         required("plotly")
-    try:
-        table = read_table(folder)
-    except (OSError, ValueError):
-        raise OutsideError(
-            f"{source}: {folder} has no results of a study; `thorvaldc study run` writes them"
-        ) from None
-    if opened is not None and table.attrs["identity"] != opened.plan.identity():
-        raise OutsideError(
-            f"{folder} has results of another state of this study; `thorvaldc study run {source}`"
-            " evaluates it"
-        )
-    page = figures_page(opened, table, folder) if opened is not None and figures else ""
+    folder = opened.results_folder(results)
+    table = _table(opened, study, folder)
+    page = figures_page(opened, table, folder) if figures else ""
     _print_summary(table, json)
     if page:
         write_file(Path(figures), page)
@@ -137,7 +120,6 @@ def write_best(
     from thorvaldc.compiler.source.input_file import unsaved_texts
     from thorvaldc.diagnostics.files import write_file
     from thorvaldc.tools.study.design_text import PathError
-    from thorvaldc.tools.study.study_results import read_table
 
     opened = _open_study(study, library, trust)
     if opened is None:
@@ -145,15 +127,7 @@ def write_best(
     names = [objective.name for objective in opened.plan.objectives]
     if by not in names and (by or len(names) > 1):
         raise typer.BadParameter(f"the objectives are {', '.join(names)}", param_hint="'--by'")
-    folder = opened.results_folder(results)
-    try:
-        table = read_table(folder)
-    except (OSError, ValueError):
-        table = None
-    if table is None or table.attrs["identity"] != opened.plan.identity():
-        raise OutsideError(
-            f"{folder} has no results of this study; `thorvaldc study run {study}` evaluates them"
-        )
+    table = _table(opened, study, opened.results_folder(results))
     if len(table) < len(opened):
         diagnostic_output.message(
             f"warning: {len(opened) - len(table)} of {len(opened)} designs have no result"
@@ -203,6 +177,20 @@ def _open_study(path: str, library: list[str], trust: bool) -> Study | None:
     if not isinstance(compilation.tool_document, StudyPlan):
         raise typer.BadParameter(f"{path} is no study", param_hint="'STUDY'")
     return Study(compilation, library=options.library_folders(library), trust=trust)
+
+
+def _table(study: Study, path: str, folder: Path) -> DataFrame:
+    """Reads the results of a study, in its present state."""
+    from thorvaldc.tools.study.study_results import read_table
+
+    with suppress(OSError, ValueError):
+        table = read_table(folder)
+        if table.attrs["identity"] == study.plan.identity():
+            return table
+    raise OutsideError(
+        f"{folder} has no results of this state of the study; `thorvaldc study run {path}`"
+        " evaluates it"
+    )
 
 
 def _print_summary(table: DataFrame, json: bool) -> None:

@@ -12,7 +12,6 @@ import math
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +30,7 @@ from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.robot_facts import fact_quantity, facts_document, robot_facts
 from thorvaldc.schema import keys_of
-from thorvaldc.tools.study.design_text import PathError, find_value, shared_spans
+from thorvaldc.tools.study.design_text import find_value, shared_spans
 
 COLUMNS = ("sample", "status", "code", "message", "design", "key")
 """Columns of the table of designs that do not depend on the study."""
@@ -378,13 +377,12 @@ class _StudyReader:
                     self.report.add("study-value", message, path.span)
                     return False
                 continue
-            with suppress(PathError):  # which the compilation reports
-                value, missing = find_value(document, text)
-                if not missing and value.span in shared_spans(document):
-                    message = f"a YAML alias repeats the value of `{text}` in other places"
-                    hint = "write the value in each place, and name each place in `paths`"
-                    self.report.add("study-value", message, path.span, hint=hint)
-                    return False
+            value, missing = find_value(document, text)
+            if not missing and value.span in shared_spans(document):
+                message = f"a YAML alias repeats the value of `{text}` in other places"
+                hint = "write the value in each place, and name each place in `paths`"
+                self.report.add("study-value", message, path.span, hint=hint)
+                return False
         return True
 
     def _is_possible(self, variable: Variable, value: Node, paths: tuple[Node, ...]) -> bool:

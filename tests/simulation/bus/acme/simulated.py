@@ -12,13 +12,11 @@ COMMAND_TIMEOUT = 0.2
 class AcmeServo(CanopenDevice):
     """Controls two speeds; switches the motors off without commands."""
 
-    @classmethod
-    def from_specification(cls, specification):
-        device = super().from_specification(specification)
+    def __init__(self, specification):
+        super().__init__(specification)
         channels = specification.node.channels
         actuators = [specification.actuator(channel.name) for channel in channels]
-        device.motors = [specification.motor_of(actuator) for actuator in actuators]
-        return device
+        self.motors = [specification.motor_of(actuator) for actuator in actuators]
 
     def initialised(self):  # after the boot-up message
         self.enabled = False
