@@ -300,7 +300,7 @@ def _slopes(slopes: Slopes | None) -> FactTable:
     return _table(
         "slopes",
         "Steepest slopes",
-        ("forwards", "backwards"),
+        [n for n in ("forwards", "backwards", "left", "right") if getattr(slopes, n) is not None],
         columns,
         f"Straight up at a constant speed, all joints at 0; coefficient of friction"
         f" {_interval(slopes.friction)}, rolling resistance"
