@@ -195,6 +195,9 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV444", "module-massless", "a mounted module has no mass"),
     _warning("TV445", "battery-connection", "several batteries without a stated connection"),
     _error("TV446", "battery-voltages", "batteries in parallel have different voltages"),
+    _warning(
+        "TV449", "steering-axis-leans", "a steering axis is less vertical than odometry needs"
+    ),
     # 5xx: CAN bus
     _error("TV501", "can-id-duplicate", "two devices of one id space use the same id on a bus"),
     _error("TV502", "can-id-range", "an id is outside the range of the device"),
