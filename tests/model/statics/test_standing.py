@@ -178,6 +178,17 @@ def test_an_offset_tilts_the_body_by_half_of_it(shop: Workshop, tmp_path: Path) 
         assert carried[wheel.link] == pytest.approx(wheel.load, rel=0.01)
 
 
+def test_the_offset_of_a_coupling_that_tilts_nothing_is_named(shop: Workshop) -> None:
+    arm = "arm: {type: t/rocker, mount: {parent: body, xyz: [0, 0, 0.1]}}\n"
+    coupling = "e: {joint: arm.pivot, follows: left.pivot, offset: 10 deg}}"
+    head = DIFFERENTIAL.replace("}}", "}, " + coupling)
+    every = shop.diagnostics(f"{rover()}\n        {arm}", head)
+    (diagnostic,) = (d for d in every if d.code.name == "leans-on-limits")
+    assert diagnostic.message.startswith("at rest, the robot has `arm.pivot` at 10.0 deg;")
+    assert diagnostic.hint is not None
+    assert diagnostic.hint.startswith("leave out the `offset` of its coupling")
+
+
 def test_a_rigid_frame_on_four_wheels_has_a_range_of_loads(shop: Workshop) -> None:
     robot = shop.robot(CART)
     half = robot.inertial.mass * G / 2
