@@ -57,7 +57,7 @@ from thorvaldc.model.statics.slope import (
     steepest_angle,
     torque_without_power,
 )
-from thorvaldc.model.statics.static_loads import lift_of
+from thorvaldc.model.statics.static_loads import spring_rates
 from thorvaldc.model.statics.tip_over import Support, support_of
 from thorvaldc.model.sums import float_sum
 
@@ -229,16 +229,9 @@ def _lean(robot: Robot, support: Support, heading: float) -> float:
     It is W d / K, with the weight W, the distance d of the edge on which the weight then is, and
     the stiffness K of the springs against rotation.
     """
-    tree, x, y = tree_of(robot), math.cos(heading), math.sin(heading)
-    rates, places = [], []
-    for wheel in robot.wheels:
-        soft = float_sum(
-            lift_of(tree, joint, *wheel.contact_point) ** 2 / joint.stiffness
-            for joint in tree.joints_above(wheel.link)
-            if joint.stiffness > 0.0
-        )
-        rates.append(1.0 / (soft + 1.0 / _STIFFEST))
-        places.append(wheel.contact_point[0] * x + wheel.contact_point[1] * y)
+    x, y = math.cos(heading), math.sin(heading)
+    rates = [min(rate, _STIFFEST) for rate in spring_rates(tree_of(robot), robot.wheels)]
+    places = [wheel.contact_point[0] * x + wheel.contact_point[1] * y for wheel in robot.wheels]
     middle = float_sum(k * s for k, s in zip(rates, places, strict=True)) / float_sum(rates)
     stiffness = float_sum(k * (s - middle) ** 2 for k, s in zip(rates, places, strict=True))
     distance = support.height * math.tan(support.tip_over_angle(heading))

@@ -253,6 +253,19 @@ def _torque(
     return float_sum(force * lift_of(tree, joint, x, y) for force, x, y in forces)
 
 
+def spring_rates(tree: JointTree, wheels: Sequence[Wheel]) -> list[float]:
+    """Returns the vertical stiffness (N/m) of the springs above each wheel, or infinity."""
+    rates = []
+    for wheel in wheels:
+        softness = float_sum(
+            lift_of(tree, joint, *wheel.contact_point) ** 2 / joint.stiffness
+            for joint in tree.joints_above(wheel.link)
+            if joint.stiffness > 0.0
+        )
+        rates.append(1.0 / softness if softness > 0.0 else math.inf)
+    return rates
+
+
 def lift_of(tree: JointTree, joint: Joint, x: float, y: float) -> float:
     """Returns the lift of a point below a joint in m for a motion of the joint by 1 rad or 1 m.
 
