@@ -298,7 +298,13 @@ def test_budget_table_is_aligned(files: dict[str, bytes]) -> None:
     assert len({len(row) for row in rows}) == 1
     assert "| 0x183 | fl_controller_tpdo1" in text
     load = json.loads(files["can/budget.json"])["buses"][0]["load"]
-    assert f"500 kbit/s, load {100 * load:.1f} % at worst." in text
+    (line,) = (line for line in text.splitlines() if line.startswith("500 kbit/s"))
+    worst, below, demand = map(float, re.findall(r"([\d.]+) %", line))
+    assert worst == pytest.approx(100 * load, abs=0.05)
+    assert worst == pytest.approx(below + demand, abs=0.15)
+    column = [row.split("|")[7].strip() for row in rows[2:]]
+    shown = sum(float(text) for text in column if text != "-")
+    assert below == pytest.approx(shown, abs=0.05 + 0.005 * len(column))
 
 
 # -- bring-up --------------------------------------------------------------------------------

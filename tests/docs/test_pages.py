@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.conftest import GOOD
 from thorvaldc.runtime.calculators import base_calculator
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -100,6 +101,75 @@ def test_the_page_of_examples_has_every_example() -> None:
         assert f"(../examples/{readme.parent.name})" in page, readme.parent.name
 
 
+def same_numbers(printed: str, shown: str) -> bool:
+    """Returns whether a page shows what a program prints.
+
+    The speed of a simulation depends on the machine, and so does the last digit of its numbers.
+    """
+    texts = [re.sub(r"\d+x", "~", text).split() for text in (printed, shown)]
+    return len(texts[0]) == len(texts[1]) and all(map(_same, *texts))
+
+
+def _same(printed: str, shown: str) -> bool:
+    numbers = [re.fullmatch(r"\d+(\.\d+)", text) for text in (printed, shown)]
+    if None in numbers:
+        return printed == shown
+    digits = max(len(number[1]) - 1 for number in numbers if number)
+    return abs(float(printed) - float(shown)) < 1.5 * 10.0**-digits
+
+
+def sample(page: str, first_line: str) -> list[str]:
+    """Returns the lines of the block of a page that begins with a line, without elisions."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    block = text.partition(f"```\n{first_line}")[2].partition("```\n")[0]
+    assert block
+    return [line for line in [first_line, *block.splitlines()] if line.strip("." + " ")]
+
+
+def printed_by(folder: Path, *command: str) -> list[str]:
+    output = subprocess.run(
+        [sys.executable, "-m", "thorvaldc", *command],
+        cwd=folder,
+        env={"PYTHONPATH": ":".join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    return output.splitlines()
+
+
+def check_sample(shown: list[str], printed: list[str]) -> None:
+    """Checks that a program prints the lines of a sample in their order."""
+    rest = iter(printed)
+    for line in shown:
+        assert any(same_numbers(other, line) for other in rest), line
+
+
+def test_the_page_on_comparisons_shows_what_diff_prints(tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text(GOOD, encoding="utf-8")
+    other = GOOD.replace("width: 0.9 m", "width: 1 m")
+    (tmp_path / "other.yaml").write_text(other, encoding="utf-8")
+    printed = printed_by(tmp_path, "diff", "robot.yaml", "other.yaml")
+    check_sample(sample("docs/compare.md", "good"), printed)
+
+
+def test_the_page_on_origins_shows_what_why_prints() -> None:
+    printed = printed_by(ROOT / "examples/4wd4ws_wide", "why", "robot.yaml", "wheels.fl.radius")
+    check_sample(sample("docs/why.md", "wheels.fl_wheel.radius = 0.2 m"), printed)
+
+
+@pytest.mark.slow
+def test_the_table_of_the_first_look_is_that_of_the_demo(tmp_path: Path) -> None:
+    names = ("1wd1ws_front/robot", "car/robot", "fleet_of_four/fleet")
+    files = [f"examples/{name}.yaml" for name in names]
+    printed = printed_by(ROOT, "demo", *files, "-o", str(tmp_path / "build"))
+    heading = next(line for line in printed if line.startswith("robot "))
+    page = (ROOT / "docs/first-look.md").read_text(encoding="utf-8")
+    shown_heading = next(line for line in page.splitlines() if line.startswith("robot "))
+    assert heading.split() == shown_heading.split()
+    check_sample(sample("docs/first-look.md", shown_heading), printed)
+
+
 def test_the_first_look_shows_what_the_commands_print(tmp_path: Path) -> None:
     page = (ROOT / "docs/first-look.md").read_text(encoding="utf-8")
     document = re.search(r"```yaml\n(.*?)```", page, re.S)
@@ -118,11 +188,7 @@ def test_the_first_look_shows_what_the_commands_print(tmp_path: Path) -> None:
             text=True,
             check=True,
         )
-        # Speed and last digits of a simulation depend on the machine.
-        rounded = [
-            re.sub(r"\d+x|\.\d+ mm|\d m\b", "~", " ".join(t.split())) for t in (done.stdout, output)
-        ]
-        assert rounded[0] == rounded[1], command
+        assert same_numbers(done.stdout, output), command
 
 
 def test_the_page_of_commands_names_every_command() -> None:

@@ -220,6 +220,7 @@ def _diff_drive(robot: Robot) -> Controller:
     left, right = _sides([wheel for wheel in robot.wheels if wheel.driven])
     radius = _radius(left)
     driver = robot.driver
+    (linear, angular), (slowing, angular_slowing) = driver.top_speeds, driver.decelerations
     parameters: Parameters = {
         "left_wheel_names": _spin_joints(robot, left),
         "right_wheel_names": _spin_joints(robot, right),
@@ -230,8 +231,8 @@ def _diff_drive(robot: Robot) -> Controller:
         "tf_frame_prefix_enable": False,
         **_odometry(robot),
         "cmd_vel_timeout": driver.command_timeout,
-        "linear": {"x": _limits(driver.max_linear_velocity, driver.max_linear_acceleration)},
-        "angular": {"z": _limits(driver.max_angular_velocity, driver.max_angular_acceleration)},
+        "linear": {"x": _limits(linear, driver.max_linear_acceleration, slowing)},
+        "angular": {"z": _limits(angular, driver.max_angular_acceleration, angular_slowing)},
     }
     notes = []
     fixed = [wheel for wheel in robot.wheels if wheel.swivel_joint is None]
@@ -263,14 +264,14 @@ def _odometry(robot: Robot) -> Parameters:
     }
 
 
-def _limits(speed: float, acceleration: float) -> Parameters:
+def _limits(speed: float, acceleration: float, deceleration: float) -> Parameters:
     return {
         "max_velocity": speed,
         "min_velocity": -speed,
         "max_acceleration": acceleration,
-        "max_deceleration": -acceleration,
+        "max_deceleration": -deceleration,
         "max_acceleration_reverse": -acceleration,
-        "max_deceleration_reverse": acceleration,
+        "max_deceleration_reverse": deceleration,
     }
 
 

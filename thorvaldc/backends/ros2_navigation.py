@@ -16,9 +16,9 @@ from collections.abc import Sequence
 
 from thorvaldc.backends import ros2_parts
 from thorvaldc.backends.ros2_parameters import Parameters, is_holonomic
-from thorvaldc.model import Robot, Sensor
+from thorvaldc.model import Robot, Sensor, stopping
 from thorvaldc.model.sensor_numbers import sensor_numbers
-from thorvaldc.model.settings import RAMP_PERIOD
+from thorvaldc.model.settings import RAMP_PERIOD, DriverSettings
 from thorvaldc.model.statics.occupied_space import footprint
 
 CONTROLLER_FREQUENCY = 1.0 / RAMP_PERIOD  # Hz; MPPI needs a step of this period
@@ -81,14 +81,11 @@ def nav2(robot: Robot, parts: ros2_parts.Parts) -> dict[str, Parameters]:
     }
     driver = robot.driver
     odometry = ros2_parts.full_topic(robot, odometry_topic(parts))
-    sideways = driver.max_linear_velocity if motion.kind == "omni" else 0.0
-    side_acceleration = driver.max_linear_acceleration if motion.kind == "omni" else 0.0
-    speeds = [driver.max_linear_velocity, sideways, driver.max_angular_velocity]
-    accelerations = [
-        driver.max_linear_acceleration,
-        side_acceleration,
-        driver.max_angular_acceleration,
-    ]
+
+    def axes(linear: float, angular: float) -> list[float]:
+        return [linear, linear if motion.kind == "omni" else 0.0, angular]
+
+    speeds = axes(*driver.top_speeds)
     spins = motion.kind != "ackermann"
     behaviors = [
         *(["spin"] if spins else []),
@@ -101,6 +98,13 @@ def nav2(robot: Robot, parts: ros2_parts.Parts) -> dict[str, Parameters]:
         "assisted_teleop": "nav2_behaviors::AssistedTeleop",
         "wait": "nav2_behaviors::Wait",
     }
+    straight: dict[str, Parameters] = {}
+    if robot.ros.distro != "jazzy":  # there the velocity smoother alone limits them
+        limits: Parameters = {
+            "acceleration_limit": driver.max_linear_acceleration,
+            "deceleration_limit": -driver.max_linear_deceleration,
+        }
+        straight = {"backup": limits, "drive_on_heading": limits}
     navigators = {"navigate_to_pose": "nav2_bt_navigator::NavigateToPoseNavigator"}
     if spins:  # the other behaviour tree has recoveries that turn on the spot
         navigators["navigate_through_poses"] = "nav2_bt_navigator::NavigateThroughPosesNavigator"
@@ -135,10 +139,10 @@ def nav2(robot: Robot, parts: ros2_parts.Parts) -> dict[str, Parameters]:
             **frames,
             "local_frame": ros2_parts.odom_frame(robot),
             "behavior_plugins": behaviors,
-            **{name: {"plugin": plugins[name]} for name in behaviors},
+            **{name: {"plugin": plugins[name], **straight.get(name, {})} for name in behaviors},
             "max_rotational_vel": driver.max_angular_velocity * REVERSE_SHARE,
             "min_rotational_vel": min(0.1, driver.max_angular_velocity * REVERSE_SHARE),
-            "rotational_acc_lim": driver.max_angular_acceleration,
+            "rotational_acc_lim": _angular_ramp(driver),
         },
         "waypoint_follower": {
             "waypoint_task_executor_plugin": "wait_at_waypoint",
@@ -151,8 +155,8 @@ def nav2(robot: Robot, parts: ros2_parts.Parts) -> dict[str, Parameters]:
             "odom_topic": odometry,
             "max_velocity": speeds,
             "min_velocity": [-speed for speed in speeds],
-            "max_accel": accelerations,
-            "max_decel": [-acceleration for acceleration in accelerations],
+            "max_accel": axes(driver.max_linear_acceleration, driver.max_angular_acceleration),
+            "max_decel": [-deceleration for deceleration in axes(*driver.decelerations)],
             "velocity_timeout": driver.command_timeout,
         },
         "collision_monitor": {**stamped, **_collision_monitor(robot, parts)},
@@ -167,6 +171,7 @@ def odometry_topic(parts: ros2_parts.Parts) -> str:
 def _mppi(robot: Robot, motion: Motion) -> Parameters:
     driver = robot.driver
     speed, acceleration = driver.max_linear_velocity, driver.max_linear_acceleration
+    deceleration = driver.max_linear_deceleration
     values: Parameters = {
         "plugin": "nav2_mppi_controller::MPPIController",
         "time_steps": STEPS,
@@ -176,10 +181,10 @@ def _mppi(robot: Robot, motion: Motion) -> Parameters:
         "vy_max": speed if motion.kind == "omni" else 0.0,
         "wz_max": driver.max_angular_velocity,
         "ax_max": acceleration,
-        "ax_min": -acceleration,
+        "ax_min": -deceleration,
         "ay_max": acceleration,
-        "ay_min": -acceleration,
-        "az_max": driver.max_angular_acceleration,
+        "ay_min": -deceleration,
+        "az_max": _angular_ramp(driver),
         # The spread of the samples follows the limits, as in the defaults of Nav2.
         "vx_std": 0.4 * speed,
         "vy_std": 0.4 * speed,
@@ -371,6 +376,15 @@ def _collision_monitor(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
 
 
 def _stopping_time(robot: Robot) -> float:
-    """Return the time in s in which the robot stops from its limit, with half a second more."""
-    driver = robot.driver
-    return round(driver.max_linear_velocity / driver.max_linear_acceleration + 0.5, 1)
+    """Return the time in s in which the robot stops from its limits, with half a second more.
+
+    The action ``approach`` allows the speed d/T at the distance d, with this time T. The robot
+    follows it if it can decelerate by v/T, where v is its largest speed.
+    """
+    driven = stopping.driven_wheels(robot.wheels, robot.actuators)
+    return _up(stopping.driver_ramp(driven, robot.driver).time + 0.5)
+
+
+def _angular_ramp(driver: DriverSettings) -> float:
+    """Return the one limit in rad/s^2 that Nav2 has for acceleration and deceleration."""
+    return min(driver.max_angular_acceleration, driver.max_angular_deceleration)

@@ -191,8 +191,6 @@ def value_text(value: Any, unit: str, digits: int = 4) -> str:
     if isinstance(value, int | float):
         if isinstance(value, int) and not unit:
             return str(value)
-        if unit == "m" and abs(value) >= 1e4:
-            return f"{_number(value / 1e3, unit, digits)} km"
         return f"{_number(value, unit, digits)} {_shown_unit(unit)}".rstrip()
     return shortened(str(value)) or '""'
 

@@ -329,7 +329,7 @@ _FACTS = {
     "stands with its motors off up to": "standing.motors_off",
     "stands with its brakes closed up to": "standing.braked",
     "energy": "energy.energy",
-    "range at most": "energy.range_bound",
+    "rolling resistance": "energy.rolling_force",
 }
 """Labels of facts and the paths of their values in ``RobotFacts``."""
 

@@ -33,6 +33,7 @@ from thorvaldc.compiler.bus.bus_checks import check_sides
 from thorvaldc.compiler.bus.node_ids import Lock, has_pins, lock_path, lock_text, read_lock
 from thorvaldc.compiler.bus.stopping_distance import check_stops_on_slope
 from thorvaldc.compiler.elaborate import elaborate
+from thorvaldc.compiler.hardware.wheel_geometry import check_steering_axes
 from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.result import Compilation, Compile, SourceFile, read_acceptances
@@ -221,6 +222,7 @@ def compile_robot(source: SourceFile, library: Sequence[Path], trust: bool = Fal
                 check_stops_on_slope(model, design, document.get("driver"), report)
             check_purpose(model, document, report)
             check_sides(model, instance, report)
+            check_steering_axes(model, report)
             lock_file = update_robot_lock(source, model, compilation)
         check_calculator(model, document, report)
         compilation.model = model

@@ -350,27 +350,26 @@ def _report_mechanism(robot: Robot, standing: Standing, report: Report) -> None:
 
 
 def _check_lean(robot: Robot, standing: Standing, report: Report) -> None:
-    moved = []
+    moved, positions, hint = [], [], "couple the joints, give them springs, or move the masses"
     for name, position in standing.positions.items():
         joint = robot.joint(name)
-        if abs(position) > (_SHIFT if joint.type == "prismatic" else _LEAN):
+        is_shifted = joint.type == "prismatic"
+        if abs(position) > (_SHIFT if is_shifted else _LEAN):
             moved.append((joint, position))
+            size = millimetres(position) if is_shifted else f"{math.degrees(position):.1f} deg"
+            positions.append(f"{_reference(joint)} at {size}")
+            if joint.mimic is not None and joint.mimic.offset:
+                hint = "leave out the `offset` of its coupling"
     if not moved and standing.tilt <= _LEAN:
         return
-    positions = [
-        f"{_reference(joint)} at {millimetres(position)}"
-        if joint.type == "prismatic"
-        else f"{_reference(joint)} at {math.degrees(position):.1f} deg"
-        for joint, position in moved[:_MAX_LABELS]
-    ]
+    lean = f"leans by {math.degrees(standing.tilt):.1f} deg, with"
     report.add(
         "leans-on-limits",
-        f"at rest, the robot leans by {math.degrees(standing.tilt):.1f} deg, with "
-        f"{_listed(positions)}; its other numbers hold with all joints at 0",
+        f"at rest, the robot {lean if standing.tilt > _LEAN else 'has'} "
+        f"{_listed(positions[:_MAX_LABELS])}; its other numbers hold with all joints at 0",
         moved[0][0].span if moved else robot.span,
         labels=[Label(joint.span, "moves too") for joint, _ in moved[1:_MAX_LABELS]],
-        hint="couple the joints, give them springs, or move the masses so that the robot rests "
-        "with its joints at 0",
+        hint=f"{hint}, so that the robot rests with its joints at 0",
     )
 
 

@@ -197,6 +197,9 @@ _TABLE: tuple[Code, ...] = (
     _error("TV446", "battery-voltages", "batteries in parallel have different voltages"),
     _warning("TV447", "parts-overlap", "a module is inside another one or in its way"),
     _warning("TV448", "part-loose", "a mounted module touches nothing"),
+    _warning(
+        "TV449", "steering-axis-leans", "a steering axis is less vertical than odometry needs"
+    ),
     # 5xx: CAN bus
     _error("TV501", "can-id-duplicate", "two devices of one id space use the same id on a bus"),
     _error("TV502", "can-id-range", "an id is outside the range of the device"),

@@ -32,6 +32,17 @@ def variant(name: str, **settings: str) -> Robot:
     return dataclasses.replace(robot, namespace=namespace, ros=ros)
 
 
+def braking_gently(robot: Robot) -> Robot:
+    """Return the robot with decelerations that differ from its accelerations."""
+    limits = {
+        "max_linear_acceleration": 1.2,
+        "max_linear_deceleration": 0.25,
+        "max_angular_acceleration": 1.6,
+        "max_angular_deceleration": 0.9,
+    }
+    return dataclasses.replace(robot, driver=dataclasses.replace(robot.driver, **limits))
+
+
 def write(folder: Path, files: dict[str, bytes]) -> Path:
     for path, data in files.items():
         file = folder / path

@@ -10,7 +10,7 @@ import yaml
 
 from tests.backends.rcl_parameters import read
 from tests.backends.ros2.launch_double import Started, spawned_controllers
-from tests.backends.ros2.packages import launch, variant
+from tests.backends.ros2.packages import braking_gently, launch, variant
 from tests.backends.ros2.test_launch_files import depends
 from tests.examples import SAMPLED_ROBOTS, example_robot
 from thorvaldc.backends.ros2 import package_of
@@ -63,6 +63,20 @@ def test_twists_reach_the_controller_with_the_sources_of_the_driver(tmp_path: Pa
     }
     pad = launch(robot, tmp_path, "teleop", stamped="true").started
     assert [n.parameters["publish_stamped_twist"] for n in pad if n.package != "joy"] == [True]
+
+
+def test_the_controller_brakes_with_the_decelerations_of_the_driver() -> None:
+    robot = braking_gently(example_robot(DRIVEN))
+    values = read(package_of(robot)["config/controllers.yaml"].decode())["/diff_drive_controller"]
+    linear, angular = robot.driver.top_speeds
+    axes = ("linear.x", linear, 1.2, 0.25), ("angular.z", angular, 1.6, 0.9)
+    for axis, speed, acceleration, deceleration in axes:
+        assert values[f"{axis}.max_velocity"] == -values[f"{axis}.min_velocity"] == speed
+        # Deceleration has the sign opposite to the motion.
+        assert values[f"{axis}.max_acceleration"] == acceleration
+        assert values[f"{axis}.max_acceleration_reverse"] == -acceleration
+        assert values[f"{axis}.max_deceleration"] == -deceleration
+        assert values[f"{axis}.max_deceleration_reverse"] == deceleration
 
 
 def test_the_one_owner_of_the_transform_from_odom() -> None:

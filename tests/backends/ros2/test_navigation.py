@@ -10,13 +10,22 @@ from typing import Any
 
 import pytest
 
-from tests.backends.ros2.packages import DISTROS, launch, parameter_files, parameters, variant
+from tests.backends.ros2.packages import (
+    DISTROS,
+    braking_gently,
+    launch,
+    parameter_files,
+    parameters,
+    variant,
+)
 from tests.backends.ros2.test_declared_parameters import car_with_lidar
 from tests.examples import SAMPLED_ROBOTS, example_robot
 from thorvaldc.backends.ros2 import package_of
 from thorvaldc.backends.ros2_navigation import Motion
 from thorvaldc.model import Robot
 from thorvaldc.model.statics.occupied_space import footprint
+from thorvaldc.runtime.se2 import Twist
+from thorvaldc.runtime.twist_ramp import Ramp
 
 FRAMES = {
     *("global_frame", "robot_base_frame", "local_frame", "base_frame_id", "odom_frame_id"),
@@ -126,6 +135,44 @@ def test_limits_are_those_of_the_driver() -> None:
     assert smoother["max_accel"][0] == mppi["FollowPath.ax_max"] == driver.max_linear_acceleration
     # MPPI needs steps of the period of the controller.
     assert mppi["FollowPath.model_dt"] * mppi["controller_frequency"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_nav2_brakes_with_the_decelerations_of_the_driver(distro: str) -> None:
+    """Where Nav2 has one limit for speeding up and slowing down, it is the smaller one."""
+    values = parameters(braking_gently(variant("4wd4ws_wide", distro=distro)))
+    smoother, behaviors = values["/velocity_smoother"], values["/behavior_server"]
+    assert smoother["max_accel"] == [1.2, 1.2, 1.6]
+    assert smoother["max_decel"] == [-0.25, -0.25, -0.9]
+    mppi = values["/controller_server"]
+    limits = {name: mppi[f"FollowPath.{name}"] for name in ("ax_max", "ax_min", "ay_max", "ay_min")}
+    assert limits == {"ax_max": 1.2, "ax_min": -0.25, "ay_max": 1.2, "ay_min": -0.25}
+    assert mppi["FollowPath.az_max"] == behaviors["rotational_acc_lim"] == 0.9
+    # In Jazzy, these behaviours have no limits of their own.
+    straight = {name: value for name, value in behaviors.items() if "eration_limit" in name}
+    expected = {
+        f"{behavior}.{name}": limit
+        for behavior in ("backup", "drive_on_heading")
+        for name, limit in (("acceleration_limit", 1.2), ("deceleration_limit", -0.25))
+    }
+    assert straight == ({} if distro == "jazzy" else expected)
+
+
+def test_the_collision_monitor_stops_a_robot_that_brakes_gently_before_an_obstacle() -> None:
+    """Its rule ``approach`` multiplies the twist by the time to the collision, in whole steps,
+    over time_before_collision; the base driver follows with its ramps."""
+    robot = braking_gently(example_robot("4wd4ws_wide"))
+    monitor, speed = parameters(robot)["/collision_monitor"], robot.driver.max_linear_velocity
+    horizon = monitor["FootprintApproach.time_before_collision"]
+    step = monitor["FootprintApproach.simulation_time_step"]
+    ramp, period = Ramp(robot.driver, 1.0, smoothing=0.3), 1.0 / robot.driver.rate
+    ramp.restart(Twist(speed, 0.0, 0.0))
+    distance = speed * horizon + 1.0
+    while distance > 0.0 and ramp.twist.vx > 0.001:
+        seconds = math.floor(distance / speed / step) * step
+        goal = Twist(speed * min(seconds / horizon, 1.0), 0.0, 0.0)
+        distance -= ramp.step(goal, period).vx * period
+    assert distance > 0.0
 
 
 @pytest.mark.parametrize(

@@ -85,6 +85,30 @@ def test_velocities_from_the_columns_of_a_csv_file(tmp_path: Path) -> None:
     assert commands(tmp_path, "{log: drive.csv, robot: other}") == {"cart": (), "other": expected}
 
 
+@pytest.mark.parametrize("start", [0, 3, 100, 1_764_442_000])
+def test_times_of_a_csv_file_count_from_its_first_line(tmp_path: Path, start: int) -> None:
+    """A part of a longer log, and times of day; the first line may command nothing."""
+    (tmp_path / "drive.csv").write_text(
+        f"time,vx\n{start},0\n{start + 1},0.25\n{start + 1.5},0.5\n{start + 4},0\n"
+    )
+    assert commands(tmp_path, "{log: drive.csv}")["cart"] == (
+        Command(1.0, 0.25, 0.0, 0.0),
+        Command(1.5, 0.5, 0.0, 0.0),
+        Command(4.0, 0.0, 0.0, 0.0),
+    )
+
+
+def test_the_logs_of_several_robots_begin_together(tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    (folder / "cart.csv").write_text("time,vx\n102,0.5\n")
+    (folder / "other.csv").write_text("time,vx\n100,0\n101,0.25\n")
+    assert commands(tmp_path, "{log: logs}") == {
+        "cart": (Command(2.0, 0.5, 0.0, 0.0),),
+        "other": (Command(1.0, 0.25, 0.0, 0.0),),
+    }
+
+
 @pytest.mark.parametrize("record", ["records", "record.mcap"])
 def test_replayed_record_is_bit_identical(tmp_path: Path, record: str) -> None:
     script = "[{at: 0.5, vx: 0.5}, {at: 1, vx: 0.3, wz: 0.4, robot: other}]"

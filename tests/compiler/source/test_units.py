@@ -128,6 +128,9 @@ def test_wrong_dimensions_are_named(text: str, quantity: str, message: str) -> N
     ("text", "hint"),
     [
         ("5 MM", "did you mean `mm`?"),
+        ("1.4 Mm", "did you mean `mm`?"),  # 1400 km
+        ("5 Mg", "did you mean `mg`?"),
+        ("5 Ms", "did you mean `ms`?"),
         ("5 Kg", "did you mean `kg`?"),
         ("5 hz", "did you mean `Hz`?"),
         ("5 milimetre", "did you mean `millimetre`?"),

@@ -82,6 +82,12 @@ def quoted(expression: str) -> str:
         ("mass", "len % 2 kg", "a length is not a mass"),
         ("mass", "5 kg if len == 2 kg else 3 kg", "a length is not a mass"),
         ("side", "xs[2 m - 1 m]", None),
+        # An index that the expression does not state.
+        ("mass", "[1 kg, 2 m, 3 kg, 4 kg][n]", "a mass is not a length"),
+        ("mass", "[1 m, 2 m, 3 m, 4 m][n]", "a length is not a mass"),
+        ("mass", "[1, 2, 3, 4][n]", None),
+        ("mass", "[[1 kg, 1 m], [2 kg, 2 kg]][n - 2][0 if n > 2 else 1]", "a length is not a mass"),
+        ("mass", "[[1 kg, 1 m], [2 kg, 2 m]][n - 2][1]", "a length is not a mass"),
     ],
 )
 def test_wrong_expressions(
@@ -121,6 +127,10 @@ def test_wrong_expressions(
         ("side", "len(xs) * 1 m"),
         ("side", "floor(len / 1 mm) * 1 mm"),
         ("place", "-len / 2 * cos(pi / 3)"),
+        ("mass", "[0, 1 kg, 2 kg, 3 kg][n]"),
+        ("mass", "[[1 kg, 1 m], [2 kg, 2 m]][n - 2][0]"),
+        ("side", "[1 kg, 2 m][1] * [1, 2, 3, 4][n]"),
+        ("mass", "[held, held][n - 2].mass"),
     ],
 )
 def test_right_expressions(workshop: Workshop, key: str, expression: str) -> None:

@@ -11,11 +11,14 @@ import pytest
 
 from tests.backend_files import files_of
 from tests.backends.conftest import write
+from tests.robots import make_robot
 from tests.workshop import CART, Workshop
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.backends.sdf import Sdf
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.model import Robot
+from thorvaldc.model.facts.fact_tables import fact_tables
+from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.facts.stability import load_ranges
 from thorvaldc.model.statics.standing import standing_of
 from thorvaldc.model.statics.standing_pose import solve_statics
@@ -176,6 +179,33 @@ def test_an_offset_tilts_the_body_by_half_of_it(shop: Workshop, tmp_path: Path) 
     assert moved < math.radians(0.5)
     for wheel in robot.wheels:
         assert carried[wheel.link] == pytest.approx(wheel.load, rel=0.01)
+
+
+def test_the_offset_of_a_coupling_that_tilts_nothing_is_named(shop: Workshop) -> None:
+    arm = "arm: {type: t/rocker, mount: {parent: body, xyz: [0, 0, 0.1]}}\n"
+    coupling = "e: {joint: arm.pivot, follows: left.pivot, offset: 10 deg}}"
+    head = DIFFERENTIAL.replace("}}", "}, " + coupling)
+    every = shop.diagnostics(f"{rover()}\n        {arm}", head)
+    (diagnostic,) = (d for d in every if d.code.name == "leans-on-limits")
+    assert diagnostic.message.startswith("at rest, the robot has `arm.pivot` at 10.0 deg;")
+    assert diagnostic.hint is not None
+    assert diagnostic.hint.startswith("leave out the `offset` of its coupling")
+
+
+def test_uneven_ground_moves_the_loads_of_springs() -> None:
+    """Four equal springs k: heights +h, -h, -h, +h twist them, and each load changes by k h."""
+    robot = make_robot([(x, y, "fixed") for x in (0.5, -0.5) for y in (0.4, -0.4)], suspended=True)
+    ranges = load_ranges(robot)
+    assert ranges is not None
+    for wheel, (low, high) in zip(robot.wheels, ranges, strict=True):
+        assert (low, high) == pytest.approx((wheel.load - 160.0, wheel.load + 160.0))
+    three = make_robot(
+        [(0.5, 0, "fixed"), (-0.5, 0.4, "fixed"), (-0.5, -0.4, "fixed")], suspended=True
+    )
+    assert load_ranges(three) == tuple((wheel.load, wheel.load) for wheel in three.wheels)
+    table = next(table for table in fact_tables(robot_facts(robot)) if table.key == "wheels")
+    assert "range [N]" in table.columns
+    assert any("8 mm higher or lower" in note for note in table.notes)
 
 
 def test_a_rigid_frame_on_four_wheels_has_a_range_of_loads(shop: Workshop) -> None:

@@ -91,7 +91,7 @@ def test_wheel_loads_on_a_slope(name: str, backwards: bool) -> None:
         for geom in contact.geom:
             forces[int(geom)] = forces.get(int(geom), 0.0) + abs(contact.frame[2] * force[0])
     treads = [scene.index("geom", f"{robot.prefix}{w.link}_tread", robot) for w in robot.wheels]
-    loads = SlopeStatics(robot).loads(angle, backwards=backwards)
+    loads = SlopeStatics(robot).loads(angle, (-1.0 if backwards else 1.0, 0.0))
     assert [forces.get(tread, 0.0) for tread in treads] == pytest.approx(
         loads, abs=0.01 * robot.inertial.mass * G
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import mujoco
 import pytest
 
 from tests.examples import example_robot
@@ -73,6 +74,17 @@ def test_a_robot_stands_up_to_the_slope_of_its_statics() -> None:
         base = on_slope(robot, degrees)
         switch(base, False, 2.0)
         assert (path(base, 5.0) > 0.2) is rolls
+
+
+def test_the_mjcf_alone_rolls_where_the_robot_stands() -> None:
+    """docs/mjcf.md: without actuation, MuJoCo has no back-driving torque."""
+    robot = with_motors(4.0)
+    slopes = standing_slopes(robot)
+    assert slopes is not None
+    base = on_slope(robot, 0.8 * math.degrees(slopes.motors_off))
+    assert path(base, 2.0) < 0.01
+    base.scene.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    assert path(base, 5.0, 2.0) > 0.2
 
 
 def test_a_brake_holds_the_robot_when_it_has_closed() -> None:

@@ -6,7 +6,19 @@ import math
 
 import pytest
 
-from bench.stopping_slope import CASES, ROVER, WEAK, Case, stopping_distances
+from bench.stopping_slope import (
+    CASES,
+    FAMILIES,
+    GENTLE,
+    ROVER,
+    WEAK,
+    Case,
+    steepest_stop,
+    stopping_distances,
+)
+from tests.examples import example_robot
+from tests.slow import one_quick_of
+from thorvaldc.model.statics.slope import directions_of
 
 pytest.importorskip("mujoco")
 
@@ -14,10 +26,10 @@ pytest.importorskip("mujoco")
 @pytest.mark.parametrize(
     "case",
     [
-        Case("1wd1ws_front", 12.0, True),
-        Case(ROVER, 14.0, True),
-        Case(WEAK, 12.0, False),
-        Case("4wd4ws_wide", 25.0, True),
+        Case("1wd1ws_front", 12.0, "backwards"),
+        Case(ROVER, 14.0, "backwards"),
+        Case(WEAK, 12.0, "forwards"),
+        Case("4wd4ws_wide", 25.0, "backwards"),
     ],
     ids=["one of three", "two of four", "weak motors", "four of four"],
 )
@@ -29,4 +41,39 @@ def test_the_closed_form_agrees_with_mujoco(case: Case) -> None:
 
 def test_a_robot_that_cannot_brake_does_not_stop() -> None:
     # On 15 deg it turns aside first, and chance decides whether it comes to rest across the slope.
-    assert stopping_distances(Case("1wd1ws_rear", 16.0, False)) == (math.inf, math.inf)
+    assert stopping_distances(Case("1wd1ws_rear", 16.0, "forwards")) == (math.inf, math.inf)
+
+
+TALL = ROVER.replace("xyz: [-100 mm, 0, 70 mm]", "xyz: [100 mm, 0, 1.2 m]").replace(
+    "  caster_left: {type: caster/swivel, mount: frame.rear_left}\n"
+    "  caster_right: {type: caster/swivel, mount: frame.rear_right}\n",
+    "  caster: {type: caster/swivel, mount: frame.rear_center}\n",
+)
+"""Three wheels below a battery 1.2 m above the frame."""
+
+
+@pytest.mark.parametrize(
+    "driver",
+    [
+        "{stopping_distance: 20 m, command_timeout: 0.5 s}",  # far less than the ramp would do
+        pytest.param("{max_linear_deceleration: 0.25 m/s^2}", marks=pytest.mark.slow),
+    ],
+)
+@pytest.mark.parametrize("direction", ["forwards", "backwards"])
+def test_a_tall_robot_does_not_tip_over_on_the_stated_slope(driver: str, direction: str) -> None:
+    assert steepest_stop(TALL, direction, driver=driver).longer < 0.03
+
+
+@pytest.mark.parametrize("gentle", [False, True], ids=["own_ramp", "gentle"])
+@pytest.mark.parametrize("block", [False, True], ids=["as_it_is", "loaded"])
+@pytest.mark.parametrize(
+    ("name", "direction"),
+    one_quick_of(
+        12, [(name, way) for name in FAMILIES for way in directions_of(example_robot(name))]
+    ),
+)
+def test_the_stated_slope_holds(name: str, direction: str, block: bool, gentle: bool) -> None:
+    """The stop is no longer than on level ground, and the robot does not tip over."""
+    driver = f"{{max_linear_deceleration: {GENTLE} m/s^2}}" if gentle else ""
+    closing = steepest_stop(name, direction, block=block, driver=driver)
+    assert closing.longer < 0.06, closing

@@ -56,6 +56,15 @@ def test_a_parameter_and_its_consequences(thorvaldc: Command) -> None:
     assert thorvaldc("diff", "good.yaml", other, "--exit-code").status == 1
 
 
+def test_a_changed_mass_changes_the_rolling_resistance_and_no_range(thorvaldc: Command) -> None:
+    """Energy over rolling resistance would be hundreds of km: what no robot drives is no fact."""
+    other = written("other.yaml", ("width: 0.9 m", "width: 1 m"))
+    out = thorvaldc("diff", "good.yaml", other).out
+    assert any(line.split()[:3] == ["~", "rolling", "resistance"] for line in out.splitlines())
+    assert "range" not in out
+    assert "km" not in out
+
+
 def test_added_removed_renamed_moved_and_exchanged_modules(thorvaldc: Command) -> None:
     other = written(
         "other.yaml",

@@ -139,6 +139,19 @@ def test_every_design_is_a_row_with_its_status(run: Command) -> None:
     assert not Path("b.yaml").exists()
 
 
+def test_a_broken_constraint_shows_the_fact_as_a_comparison_does(run: Command) -> None:
+    Path("study.yaml").write_text(
+        STUDY.replace("min: 0.8 m, max: 1.2 m", "values: [0.9 m, 1.1 m]")
+        .replace("stability.angles.left, at_least: 50 deg", "size.track, at_least: 1 m")
+        .replace("tip_over", "track_width")
+    )
+    assert run("study", "run", "study.yaml", "-j", "1", "-o", "out").status == 0
+    (message,) = (text for track, text in rows("out", "track, message") if track == 0.9)
+    assert message == "track_width is 0.9 m, less than 1 m"
+    Path("other.yaml").write_text(Path("good.yaml").read_text().replace("0.9 m", "1 m", 1))
+    assert "0.9 m -> 1 m" in " ".join(run("diff", "good.yaml", "other.yaml").out.split())
+
+
 def test_two_processes_give_the_same_table(run: Command) -> None:
     Path("drive.yaml").write_text(DRIVE)
     text = STUDY.replace("objectives:", "scenarios: {go: {scenario: drive.yaml}}\nobjectives:")

@@ -14,6 +14,7 @@ from typing import Any
 from thorvaldc.diagnostics.text_layout import markdown_table
 from thorvaldc.model import Actuator, Bus, Channel, FrameDefinition, Joint, Node, Robot, Signal
 from thorvaldc.model.bus_timing import worst_case_bits
+from thorvaldc.model.sums import float_sum
 
 FORMAT = "thorvaldc-canmap"
 VERSION = 3
@@ -221,8 +222,13 @@ def budget_table(robot: Robot) -> str:
     ]
     for bus in robot.buses:
         lines += ["", f"## {bus.name}", ""]
-        lines.append(f"{bus.bitrate / 1000:g} kbit/s, load {100 * bus.load:.1f} % at worst.")
-        lines += ["", *_table(bus)]
+        stated = float_sum(_row(bus, frame)["load"] or 0.0 for frame in bus.frames)
+        lines += [
+            f"{bus.bitrate / 1000:g} kbit/s, load {100 * bus.load:.1f} % at worst: "
+            f"{100 * stated:.1f} % below, {100 * (bus.load - stated):.1f} % for frames on demand.",
+            "",
+            *_table(bus),
+        ]
     return "\n".join(lines) + "\n"
 
 

@@ -23,7 +23,8 @@ from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Proposal, Report, plain
 from thorvaldc.model import DriverSettings, ParameterSet, Robot, stopping
-from thorvaldc.model.statics.slope import SlopeStops, steepest_stops
+from thorvaldc.model.statics.slope import DIRECTIONS, directions_of
+from thorvaldc.model.statics.slope_stops import SlopeStops, steepest_stops
 
 SHORTEST_TIMEOUT = 0.1
 """Shortest derived command time-out (s), so that sources with 20 Hz may lose a command."""
@@ -126,33 +127,37 @@ def check_stops_on_slope(
     slope, distance = design.slope, robot.driver.stopping_distance
     if slope is None or not any(wheel.driven for wheel in robot.wheels):
         return
-    statics, speed = SlopeStops(robot), math.inf
-    if min(statics.excess(slope, backwards=backwards) for backwards in (False, True)) >= 0.0:
+    statics = {name: SlopeStops(robot, DIRECTIONS[name]) for name in directions_of(robot)}
+    if min(stops.excess(slope) for stops in statics.values()) >= 0.0:
         return
-    longest, kind, limit, direction = 0.0, "", 0.0, ""
-    for backwards in (False, True):
-        for stop in statics.stops:
-            deceleration = statics.deceleration(slope, stop, backwards=backwards)
+    speed, longest, kind, direction, tips = math.inf, 0.0, "", "", False
+    for name, stops in statics.items():
+        for stop in stops.stops:
+            deceleration = stops.deceleration(slope, stop)
             if distance is not None:
                 speed = min(speed, stopping.reachable_speed(distance, stop.reaction, deceleration))
             elif stop.dead:
                 continue
             if stop.distance(deceleration) > longest:
-                longest, kind = stop.distance(deceleration), stop.kind
-                limit = steepest_stops(robot)[backwards]
-                direction = "backwards" if backwards else "forwards"
-    stops = math.isfinite(longest)
-    if stops if distance is None else longest <= distance + _ROUNDING:
+                longest, kind, direction = stop.distance(deceleration), stop.kind, name
+                tips = stops.balance(slope, stop) < 0.0
+    ends = math.isfinite(longest)
+    if ends if distance is None else longest <= distance + _ROUNDING:
         return
+    limit = steepest_stops(robot)[direction]
     where, node = design.slope_span or robot.span, driver and driver.get("stopping_distance")
     motion = f"driving {direction} down {math.degrees(slope):.1f} deg, the robot"
-    if not stops or distance is None or node is None or driver is None:
+    if not ends or distance is None or node is None or driver is None:
+        problem = f"does not stop {_CAUSES[kind]}: its wheels cannot brake it"
+        remedy = "brake more wheels, or move weight onto those with motors"
+        if tips:
+            problem = f"tips over {_CAUSES[kind]}"
+            remedy = "lower the centre of mass, or brake more gently"
         report.add(
             "stopping-slope",
-            f"{motion} does not stop {_CAUSES[kind]}: its wheels cannot brake it",
+            f"{motion} {problem}",
             where,
-            hint="brake more wheels, or move weight onto those with motors; up to "
-            f"{math.degrees(limit):.1f} deg it stops as on level ground",
+            hint=f"{remedy}; up to {math.degrees(limit):.1f} deg it stops as on level ground",
         )
         return
     report.add(

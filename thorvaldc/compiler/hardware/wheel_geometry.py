@@ -21,16 +21,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from thorvaldc.diagnostics import Report
-from thorvaldc.model import Actuator, Collision, Cylinder, Joint, Link, Pose, Vec3, Wheel
+from thorvaldc.diagnostics import Report, millimetres
+from thorvaldc.model import Actuator, Collision, Cylinder, Joint, Link, Pose, Robot, Vec3, Wheel
 from thorvaldc.model.number_origins import least
 from thorvaldc.model.spatial import add, clean, cross, dot, norm, scale
-from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.joint_tree import JointTree, tree_of
+from thorvaldc.model.sums import float_sum
 
 UP: Vec3 = (0.0, 0.0, 1.0)
 # Sine of 10 deg, the least angle between the spin axis of a wheel and the vertical.
 _MIN_FORWARD = 0.17
 _MIN_UPRIGHT = 0.5  # Cosine of 60 deg, the largest tilt of a steering axis.
+_UPRIGHT = math.cos(math.radians(0.1))
+_STEPS = [k / 3 for k in range(-3, 4)]
+"""Steering angles as shares of a quarter turn."""
+_LIKELY = 2.0
+"""Errors below this multiple of the standard deviation are usual."""
 
 _SAME_PLACE = 1e-3  # m, and share of the unit vector of an axis
 _SAME_SIZE = 0.05  # share of the radius and width of a tyre
@@ -296,3 +302,52 @@ def _rotation_from_z_to(axis: Vec3) -> tuple[float, float, float, float]:
     n = math.sqrt(w * w + norm(v) ** 2)
     x, y, z = scale(1.0 / n, v)
     return (w / n, x, y, z)
+
+
+def check_steering_axes(robot: Robot, report: Report) -> None:
+    """Warns if a steering axis leans so far that the odometry is worse than its covariance states.
+
+    The base calculators turn the direction and the contact point of a wheel about a vertical axis.
+    About an axis that leans, the direction differs by an angle, and the contact point by a distance
+    d along it, which a yaw rate turns into side slip.  At the distance L from the other wheels, it
+    is as if the direction differed by d / L more.
+    """
+    tree = tree_of(robot)
+    points = [wheel.contact_point for wheel in robot.wheels]
+    middle = [float_sum(values) / len(points) for values in zip(*points, strict=True)]
+    for wheel in robot.wheels:
+        joint = tree.joints.get(wheel.steering_joint or "")
+        upright = 1.0 if joint is None else abs(tree.pose[joint.child].rotate(joint.axis)[2])
+        if joint is None or upright > _UPRIGHT:
+            continue
+        from thorvaldc.runtime.calculators.twist_fit import Noise  # for few robots
+
+        lever = max(math.dist(middle, (wheel.x, wheel.y)), wheel.radius)
+        error, away, angle = max(_error_of(wheel, joint, tree, lever, k) for k in _STEPS)
+        if error > _LIKELY * Noise(**dict(robot.driver.noise)).direction:
+            report.add(
+                "steering-axis-leans",
+                f"the steering axis of `{wheel.module}` leans by"
+                f" {math.degrees(math.acos(upright)):.1f} deg: steered by {math.degrees(angle):.0f}"
+                f" deg, its wheel stands {millimetres(away)} off where odometry expects it, an"
+                f" error of {math.degrees(error):.1f} deg that its covariance does not include",
+                wheel.span,
+                hint="correct the `rpy` of its mount, or state the error:"
+                f" `driver: {{noise: {{angle: {math.degrees(error):.1f} deg}}}}`",
+            )
+
+
+def _error_of(
+    wheel: Wheel, steering: Joint, tree: JointTree, lever: float, share: float
+) -> tuple[float, float, float]:
+    """Returns the error of the direction (rad), that of the place (m), and the steering angle."""
+    lower, upper = (math.inf if q is None else abs(q) for q in (steering.lower, steering.upper))
+    angle = share * min(math.pi / 2.0, upper if share > 0.0 else lower)
+    turned, spin = tree.at({steering.name: angle}), tree.joints[wheel.spin_joint]
+    axle = turned.pose[spin.child].rotate(spin.axis)
+    heading = wheel.heading + wheel.steering_sign * angle
+    x, y = replace(wheel, heading=heading).contact_point
+    contact = lowest_point(turned.pose[wheel.link].xyz, axle, wheel.radius)
+    away = abs((contact[0] - x) * math.cos(heading) + (contact[1] - y) * math.sin(heading))
+    turn = abs(math.remainder(math.atan2(-axle[0], axle[1]) - heading, math.tau))
+    return turn + away / lever, away, angle

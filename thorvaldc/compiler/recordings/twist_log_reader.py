@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,23 +50,37 @@ def read_twists(
         return {}
     if not path.is_dir():
         files[display] = path
-        commands = _read_csv(path, display, report)
-        return {name: commands or () for name, _ in robots}
-    commands_by_robot: dict[str, tuple[Command, ...]] = {}
+        log = _read_csv(path, display, report)
+        return _from_the_beginning({name: log or (math.inf, []) for name, _ in robots})
+    logs: dict[str, tuple[float, list[Command]]] = {}
     for name, _ in robots:
         file, file_display = path / f"{name}.csv", f"{display}/{name}.csv"
         if not file.is_file():
             report.add("script-log", f"`{display}` has no file {name}.csv, for {name}", span)
             continue
         files[file_display] = file
-        commands = _read_csv(file, file_display, report)
-        if commands is not None:
-            commands_by_robot[name] = commands
-    return commands_by_robot
+        log = _read_csv(file, file_display, report)
+        if log is not None:
+            logs[name] = log
+    return _from_the_beginning(logs)
 
 
-def _read_csv(path: Path, display: str, report: Report) -> tuple[Command, ...] | None:
-    """Reads the commanded twists from a CSV file.
+def _from_the_beginning(
+    logs: dict[str, tuple[float, list[Command]]],
+) -> dict[str, tuple[Command, ...]]:
+    """Returns the commands of logs with times from the first line of all logs.
+
+    The times of a log can be times of day, or begin in the middle of a drive.
+    """
+    beginning = min((time for time, _ in logs.values()), default=math.inf)
+    return {
+        name: tuple(replace(command, time=command.time - beginning) for command in commands)
+        for name, (_, commands) in logs.items()
+    }
+
+
+def _read_csv(path: Path, display: str, report: Report) -> tuple[float, list[Command]] | None:
+    """Reads the time of the first line of a CSV file, and its commanded twists.
 
     The CSV file is a record of this program or a file of the user.  If it has no column for a
     component of the twist, the component is 0.
@@ -95,7 +110,7 @@ def _read_csv(path: Path, display: str, report: Report) -> tuple[Command, ...] |
             report.add("script-log", message, header.span)
             return None
         _append(commands, Command(*row))
-    return tuple(commands)
+    return (times[0] if times else math.inf), commands
 
 
 def _append(commands: list[Command], command: Command) -> None:

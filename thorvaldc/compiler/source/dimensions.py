@@ -170,6 +170,13 @@ def element_of(part: Any, position: Any) -> Any:
     return part[position] if is_inside else None
 
 
+def _any_of(parts: list[Any], offset: int) -> Any:
+    """Returns the dimension of one of several parts, which must be the same for all of them."""
+    if parts and all(isinstance(part, list) and len(part) == len(parts[0]) for part in parts):
+        return [_any_of(list(elements), offset) for elements in zip(*parts, strict=True)]
+    return _common(parts, offset, "[")
+
+
 class _DimensionAlgebra:
     """The algebra of dimensions."""
 
@@ -195,7 +202,10 @@ class _DimensionAlgebra:
 
     def element(self, operand: Any, index: Any, offset: int) -> Any:
         _require_plain(index, offset, "[", "a number without a unit")
-        return element_of(operand, index)
+        known = element_of(operand, index)
+        if known is not None or not isinstance(operand, list) or isinstance(index, int):
+            return known
+        return _any_of(operand, offset)  # the expression does not say which
 
     def choose(self, condition: Part, value: Part, otherwise: Part, offset: int) -> Any:
         condition(self)

@@ -149,6 +149,8 @@ def _words(text: str) -> frozenset[str]:
 
 
 PREFIXABLE = _words("m g s rad Hz N Nm J W Wh Pa bar A C Ah V Ω ohm K bit B bps bd baud")
+NEVER_MILLIONS = _words("m g s rad")
+"""Units of which no robot has millions: `Mm` is a mistyped `mm`."""
 LONG_PREFIXABLE = _words(
     "meter meters metre metres gram grams second seconds newton newtons volt volts "
     "watt watts joule joules hertz pascal amp amps ampere"

@@ -393,8 +393,11 @@ def _find_unit(name: str) -> Unit | None:
         return unit
     for length in (1, 2):
         prefix, stem = name[:length], name[length:]
-        if prefix in unit_table.PREFIXES and stem in unit_table.PREFIXABLE:
-            return _scale(unit_table.UNITS[stem], unit_table.PREFIXES[prefix])
+        power = unit_table.PREFIXES.get(prefix)
+        if power is None or stem not in unit_table.PREFIXABLE:
+            continue
+        if power <= 3 or stem not in unit_table.NEVER_MILLIONS:
+            return _scale(unit_table.UNITS[stem], power)
     for prefix, power in unit_table.LONG_PREFIXES.items():
         if name.startswith(prefix) and name[len(prefix) :] in unit_table.LONG_PREFIXABLE:
             return _scale(unit_table.UNITS[name[len(prefix) :]], power)

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
-from thorvaldc.model.facts.stability import DIRECTIONS
 from thorvaldc.model.statics import mobility
 from thorvaldc.model.statics.occupied_space import footprint
-from thorvaldc.model.statics.slope import SlopeForces, SlopeStatics, steepest_angle, steepest_stops
+from thorvaldc.model.statics.slope import DIRECTIONS, SlopeForces, SlopeStatics, steepest_angle
+from thorvaldc.model.statics.slope_stops import steepest_stops
 from thorvaldc.model.statics.tip_over import support_of
 from thorvaldc.model.stopping import driven_wheels
 
@@ -125,7 +125,8 @@ def _yaw_rate(robot: Robot, center: mobility.Center) -> float:
 
 @dataclass(frozen=True, slots=True)
 class SlopeLimits:
-    """The steepest slopes in rad that a robot climbs straight up at a constant low speed.
+    """The steepest slopes in rad that a robot climbs straight up at a constant low speed, and on
+    which it stops while it drives downhill in the same direction.
 
     ``model.statics.slope`` states the formulas and the assumptions.
 
@@ -150,14 +151,17 @@ class SlopeLimits:
 
 @dataclass(frozen=True, slots=True)
 class Slopes:
-    """The steepest slopes that a robot climbs and on which it stops, forwards and backwards.
+    """The steepest slopes that a robot climbs and on which it stops, in each direction.
 
+    - ``left``, ``right``: ``None`` for a robot whose wheels do not roll sideways.
     - ``friction``: smallest and largest coefficient of friction of the driven wheels.
     - ``rolling_resistance``: smallest and largest coefficient of rolling resistance of all wheels.
     """
 
     forwards: SlopeLimits
     backwards: SlopeLimits
+    left: SlopeLimits | None
+    right: SlopeLimits | None
     friction: tuple[si.Number, si.Number]
     rolling_resistance: tuple[si.Number, si.Number]
 
@@ -170,33 +174,31 @@ def slopes_of(robot: Robot) -> Slopes | None:
         return None
     friction = [wheel.friction for wheel in driven]
     rolling = [wheel.rolling_resistance for wheel in robot.wheels]
-    statics = SlopeStatics(robot)
+    limits = {name: _limits(robot, name, stops) for name, stops in steepest_stops(robot).items()}
     return Slopes(
-        _limits(robot, statics, backwards=False),
-        _limits(robot, statics, backwards=True),
+        limits["forwards"],
+        limits["backwards"],
+        limits.get("left"),
+        limits.get("right"),
         (min(friction), max(friction)),
         (min(rolling), max(rolling)),
     )
 
 
-def _limits(robot: Robot, statics: SlopeStatics, *, backwards: bool) -> SlopeLimits:
+def _limits(robot: Robot, direction: str, stops: float) -> SlopeLimits:
+    statics, (x, y) = SlopeStatics(robot), DIRECTIONS[direction]
+
     @functools.cache
     def forces(angle: float) -> SlopeForces:
-        return statics.forces(angle, backwards=backwards)
+        return statics.forces(angle, (x, y))
 
-    downhill = DIRECTIONS["front" if backwards else "rear"]
     limits = {
         "grip": steepest_angle(lambda angle: forces(angle).grip - forces(angle).needed),
         "torque": steepest_angle(lambda angle: forces(angle).motors - forces(angle).needed),
-        "tip_over": support_of(robot).tip_over_angle(downhill),
+        "tip_over": support_of(robot).tip_over_angle(math.atan2(-y, -x)),
     }
     known = {name: angle for name, angle in limits.items() if angle is not None}
     reason = min(known, key=lambda name: known[name])
     return SlopeLimits(
-        limits["grip"],
-        limits["torque"],
-        known["tip_over"],
-        known[reason],
-        reason,
-        steepest_stops(robot)[backwards],
+        limits["grip"], limits["torque"], known["tip_over"], known[reason], reason, stops
     )

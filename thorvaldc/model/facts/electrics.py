@@ -182,9 +182,6 @@ class Energy:
     - ``energy``: energy of all batteries in J, or ``None`` if a module does not state it or the
       robot has no battery.
     - ``rolling_force``: force in N that the rolling resistance of the wheels needs.
-    - ``range_bound``: energy divided by ``rolling_force`` in m: no robot drives further. The losses
-      in motors and gears and the power of the electronics make the real range shorter. ``None`` if
-      one of the numbers is missing.
     - ``power``: power of the electronics in W that the modules state, 0 if none states it.
     - ``connection``: ``parallel``, ``separate`` or ``None``, see ``Robot.battery_connection``.
     - ``has_common_source``: true if the robot has a ``Robot.common_source``.
@@ -205,7 +202,6 @@ class Energy:
     capacity: si.AmpereSeconds | None
     energy: si.Joules | None
     rolling_force: si.Newtons
-    range_bound: si.Metres | None
     power: si.Watts
     standby: si.Seconds | None
     standby_current: si.Amperes | None
@@ -252,7 +248,6 @@ def energy_of(robot: Robot) -> Energy:
         capacity,
         energy,
         force,
-        energy / force if energy is not None and force > 0.0 else None,
         power,
         energy / power if has_standby and energy is not None else None,
         power / voltage if has_standby and voltage else None,

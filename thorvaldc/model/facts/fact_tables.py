@@ -13,7 +13,7 @@ from thorvaldc.model.facts.driving import Driving, Slopes
 from thorvaldc.model.facts.masses import NO_SOURCE, BillRow, ModuleMass, PurchaseFacts, source_kind
 from thorvaldc.model.facts.robot_facts import RobotFacts
 from thorvaldc.model.facts.size import Size
-from thorvaldc.model.facts.stability import DIRECTIONS, SoilLoad, Stability, WheelLoad
+from thorvaldc.model.facts.stability import DIRECTIONS, UNEVEN, SoilLoad, Stability, WheelLoad
 from thorvaldc.model.statics.slope import StandingSlopes
 
 Row = tuple[str, ...]
@@ -196,9 +196,9 @@ def _wheels(wheels: tuple[WheelLoad, ...], soil: SoilLoad | None) -> FactTable:
         )
     if undetermined:
         loads = (
-            "The balance of forces does not determine the loads of wheels with a range: a pebble"
-            " under one of them is enough to shift them within it. `load` is that of equal tyres"
-            " under a rigid frame on a plane."
+            "`load` is that on a plane, with equal tyres. The balance of forces allows all loads of"
+            " the range: a pebble under a wheel is enough to shift them within it. On springs, it"
+            f" is that of ground up to {1000.0 * UNEVEN:.0f} mm higher or lower under each wheel."
         )
     elif any(wheel.load_range is None for wheel in wheels):
         loads = (
@@ -300,7 +300,7 @@ def _slopes(slopes: Slopes | None) -> FactTable:
     return _table(
         "slopes",
         "Steepest slopes",
-        ("forwards", "backwards"),
+        [n for n in ("forwards", "backwards", "left", "right") if getattr(slopes, n) is not None],
         columns,
         f"Straight up at a constant speed, all joints at 0; coefficient of friction"
         f" {_interval(slopes.friction)}, rolling resistance"

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from thorvaldc.model import Robot
+from thorvaldc.model import Robot, Wheel
 from thorvaldc.model import quantities as si
 from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.spatial import GRAVITY, clean
+from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.standing import standing_of
-from thorvaldc.model.statics.static_loads import maximize, null_space
+from thorvaldc.model.statics.static_loads import maximize, null_space, spring_rates
 from thorvaldc.model.statics.tip_over import Support, support_of
 from thorvaldc.model.sums import float_sum
 
@@ -52,9 +54,15 @@ def soil_load_of(robot: Robot) -> SoilLoad | None:
 # is twisted, it and the opposite wheel carry more, the others less. All loads N = N_0 + Z y balance
 # the robot, where N_0 are any balancing loads and the columns of Z span the null space of the
 # balances. The range of a load follows from two linear programs, max and min of N_i with N >= 0.
+#
+# The loads of springs change on uneven ground. With the stiffness k_i above wheel i, the heights d
+# of the ground change the loads by K^(1/2) Z Z^T K^(1/2) d, where the columns of Z are orthonormal,
+# and orthogonal to the motions of the body: to k_i^(1/2) (1, x_i, y_i). The range is that of all
+# heights within ``UNEVEN``.
 
 _SAME = 1e-4
 """Share of the weight below which the ends of a range are one load."""
+UNEVEN = 0.008  # m, height of the ground under a wheel above or below the plane
 MOST_WHEELS = 30
 """Robots with more wheels have no ranges: the linear programs would take seconds."""
 
@@ -63,14 +71,18 @@ MOST_WHEELS = 30
 def load_ranges(robot: Robot) -> tuple[tuple[float, float], ...] | None:
     """Return the smallest and the largest load in N of each wheel, in the order of the model.
 
-    The ends are equal for a wheel whose load the balances determine. Returns ``None`` for a robot
-    that does not stand, has no wheels or has more than ``MOST_WHEELS``.
+    They are those that the balances allow, equal for a wheel whose load they determine; of a robot
+    with a spring above each wheel, those on ground that is uneven by ``UNEVEN``. Returns ``None``
+    for a robot that does not stand, has no wheels or has more than ``MOST_WHEELS``.
     """
     if not robot.wheels or len(robot.wheels) > MOST_WHEELS:
         return None
     standing = standing_of(robot)
     if standing is not None and not standing.stands:
         return None
+    rates = spring_rates(tree_of(robot), robot.wheels)
+    if math.inf not in rates:
+        return _ranges_on_springs(robot.wheels, [math.sqrt(rate) for rate in rates])
     loads = [wheel.load for wheel in robot.wheels] if standing is None else standing.loads
     if standing is not None:
         balances, bounds = standing.balances, standing.bounds
@@ -104,6 +116,26 @@ def load_ranges(robot: Robot) -> tuple[tuple[float, float], ...] | None:
     return tuple(ranges)
 
 
+def _ranges_on_springs(
+    wheels: Sequence[Wheel], roots: Sequence[float]
+) -> tuple[tuple[float, float], ...]:
+    """``roots``: square root of the stiffness of each wheel."""
+    points = [(1.0, *wheel.contact_point) for wheel in wheels]
+    rows = [[r * v for r, v in zip(roots, row, strict=True)] for row in zip(*points, strict=True)]
+    free = null_space(rows, len(wheels))
+    ranges = []
+    for i, wheel in enumerate(wheels):
+        change = (
+            UNEVEN
+            * roots[i]
+            * float_sum(
+                root * abs(float_sum(z[i] * z[j] for z in free)) for j, root in enumerate(roots)
+            )
+        )
+        ranges.append((clean(max(wheel.load - change, 0.0)), clean(wheel.load + change)))
+    return tuple(ranges)
+
+
 DIRECTIONS = {
     "front": 0.0,
     "left": math.pi / 2,
@@ -123,9 +155,9 @@ class WheelLoad:
     - ``x``, ``y``: contact point in ``base_link`` in m, with all joints at position 0.
     - ``radius``: rolling radius in m.
     - ``load``: wheel load in N.
-    - ``load_range``: smallest and largest load in N that the balance of forces allows, equal for a
-      wheel whose load it determines, see ``load_ranges``; ``None`` for a robot with
-      too many wheels.
+    - ``load_range``: smallest and largest load in N that the balance of forces allows, or that a
+      robot on springs has on uneven ground, see ``load_ranges``; ``None`` for a robot with too many
+      wheels.
     - ``share``: wheel load divided by the weight of the robot.
     - ``driven``, ``steered``: true if a motor drives or steers the wheel.
     """

@@ -122,8 +122,8 @@ def outer_vertices(name: str, data: bytes, factors: Vec3) -> tuple[Vec3, ...]:
     vertices = [(x * sx, y * sy, z * sz) for x, y, z in mesh_vertices(name, data)]
     if not vertices:
         return ()
-    grid = itertools.product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=3)
-    directions = [d for d in grid if 1.0 in map(abs, d)]
+    steps = (-1.0, -0.5, 0.0, 0.5, 1.0)
+    directions = [d for d in itertools.product(steps, steps, steps) if 1.0 in map(abs, d)]
     return tuple(dict.fromkeys(max(vertices, key=lambda v: dot(v, d)) for d in directions))
 
 

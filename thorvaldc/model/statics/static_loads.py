@@ -48,13 +48,25 @@ def _lever(origin: Vec3, axis: Vec3, x: float, y: float) -> float:
     return axis[0] * (y - origin[1]) - axis[1] * (x - origin[0])
 
 
-def free_pivots(tree: JointTree, wheels: Sequence[Wheel], stopped: Collection[str]) -> list[Pivot]:
+def free_pivots(
+    tree: JointTree,
+    wheels: Sequence[Wheel],
+    stopped: Collection[str],
+    slope: tuple[float, float] = (0.0, 0.0),
+) -> list[Pivot]:
     """Returns the pivots (joints without motor and spring) of a robot, with the joints at 0.
 
     The spin, steering and swivel joints of wheels are not pivots.  Joints that are coupled to each
     other are one pivot.  ``stopped`` contains the names of the joints that motors or limits hold,
-    which are not pivots.
+    which are not pivots.  ``slope``: horizontal force on the robot along x and y, over its weight.
+    The horizontal forces of the wheels are in proportion to their loads, so that all forces at the
+    height z act like vertical ones that are z times ``slope`` further.
     """
+
+    def moved(point: Vec3) -> Vec3:
+        x, y, z = point
+        return x + z * slope[0], y + z * slope[1], z
+
     pivots: list[Pivot] = []
     for coordinate in coordinates_of(tree, wheels, stopped, sprung=False):
         levers = [0.0] * len(wheels)
@@ -66,12 +78,13 @@ def free_pivots(tree: JointTree, wheels: Sequence[Wheel], stopped: Collection[st
             below = tree.links_below(joint.child)
             links = set(below)
             pose = tree.pose[joint.child]
-            axis = pose.rotate(joint.axis)
+            axis, origin = pose.rotate(joint.axis), moved(pose.xyz)
             for i, wheel in enumerate(wheels):
                 if wheel.link in links:
-                    levers[i] += ratio * _lever(pose.xyz, axis, *wheel.contact_point)
+                    levers[i] += ratio * _lever(origin, axis, *wheel.contact_point)
             carried = tree.inertial(below)
-            lever = _lever(pose.xyz, axis, carried.com[0], carried.com[1])
+            x, y, _ = moved(carried.com)
+            lever = _lever(origin, axis, x, y)
             moment += ratio * carried.mass * GRAVITY * lever
         if max(map(abs, levers), default=0.0) >= 1e-6:
             pivots.append(Pivot(tuple(levers), moment))
@@ -230,8 +243,6 @@ def _torque(
     carries.
     """
     below = set(tree.links_below(joint.child))
-    pose = tree.pose[joint.child]
-    axis = pose.rotate(joint.axis)
     carried = tree.inertial(sorted(below))
     forces = [
         (load, *wheel.contact_point)
@@ -239,9 +250,30 @@ def _torque(
         if wheel.link in below
     ]
     forces.append((-carried.mass * GRAVITY, carried.com[0], carried.com[1]))
-    if joint.type == "prismatic":
-        return axis[2] * float_sum(force for force, _, _ in forces)
-    return float_sum(force * _lever(pose.xyz, axis, x, y) for force, x, y in forces)
+    return float_sum(force * lift_of(tree, joint, x, y) for force, x, y in forces)
+
+
+def spring_rates(tree: JointTree, wheels: Sequence[Wheel]) -> list[float]:
+    """Returns the vertical stiffness (N/m) of the springs above each wheel, or infinity."""
+    rates = []
+    for wheel in wheels:
+        softness = float_sum(
+            lift_of(tree, joint, *wheel.contact_point) ** 2 / joint.stiffness
+            for joint in tree.joints_above(wheel.link)
+            if joint.stiffness > 0.0
+        )
+        rates.append(1.0 / softness if softness > 0.0 else math.inf)
+    return rates
+
+
+def lift_of(tree: JointTree, joint: Joint, x: float, y: float) -> float:
+    """Returns the lift of a point below a joint in m for a motion of the joint by 1 rad or 1 m.
+
+    It is also the moment (N m) or the force (N) on the joint of an upward force of 1 N at (x, y).
+    """
+    pose = tree.pose[joint.child]
+    axis = pose.rotate(joint.axis)
+    return axis[2] if joint.type == "prismatic" else _lever(pose.xyz, axis, x, y)
 
 
 # -- linear programs with a feasible origin, solved by the simplex method -----------------------

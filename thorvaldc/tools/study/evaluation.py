@@ -26,6 +26,7 @@ import thorvaldc
 from thorvaldc.backends.mjcf import simulation_files
 from thorvaldc.cli.diagnostic_output import message
 from thorvaldc.cli.exits import OutsideError
+from thorvaldc.comparison.difference_text import value_text
 from thorvaldc.compiler.pipeline import compile_robot, many_compilations
 from thorvaldc.compiler.result import Compilation, SourceFile
 from thorvaldc.compiler.scenario.scenario_compilation import compile_scenario
@@ -39,7 +40,6 @@ from thorvaldc.model.plugins import data_folder
 from thorvaldc.simulation.worker_processes import become_worker, ignored_interrupts
 from thorvaldc.tools.study.designs import required
 from thorvaldc.tools.study.study_document import MEASURE, Design, StudyPlan, fact_values
-from thorvaldc.tools.study.study_results import quantity_text
 
 Measure = Callable[[Robot], Mapping[str, float]]
 """A function of a program that returns numbers of a design by their names."""
@@ -122,7 +122,7 @@ class DesignEvaluator:
                 if quantity != si.MONEY:
                     return message
                 return f"{message}: {purchase.no_price or f'its prices are in {purchase.currency}'}"
-            text = functools.partial(quantity_text, unit=quantity.unit)
+            text = functools.partial(value_text, unit=quantity.unit)
             least, most = constraint.at_least, constraint.at_most
             if least is not None and value < least:
                 return f"{constraint.name} is {text(value)}, less than {text(least)}"

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from thorvaldc.comparison.difference_text import value_text
 from thorvaldc.compiler.source.node import Value
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.diagnostics import files
@@ -261,19 +262,8 @@ def _sensitivity_lines(entries: list[dict[str, Any]], width: int | None) -> list
     return list(dict.fromkeys(lines))
 
 
-def quantity_text(value: float, unit: str) -> str:
-    """Returns a value of an SI unit in the unit in which people read it: degrees, mm below 10 m."""
-    if unit == "rad":
-        return f"{cell_text(math.degrees(value))} deg"
-    if unit == "m" and abs(value) < 10.0:
-        return f"{cell_text(1000.0 * value)} mm"
-    return f"{cell_text(value)} {unit}".rstrip()
-
-
 def cell_text(value: Any) -> str:
-    """Returns a value of the table for people: numbers with 4 digits, whole from 10,000 on."""
+    """Returns a value of the table for people."""
     if not isinstance(value, float):
         return str(value)
-    if math.isnan(value):
-        return "-"
-    return f"{value:.4g}" if abs(value) < 1e4 or abs(value) >= 1e7 else f"{value:.0f}"
+    return "-" if math.isnan(value) else value_text(value, "")

@@ -1,7 +1,8 @@
 """Writes a robot as one OpenUSD file, with the converter ``mujoco-usd-converter``.
 
-The robot's MJCF with spheres in place of its ellipsoid tyres, which the converter leaves out, goes
-to a limited worker process (``usd_conversion``).  Begin with ``export_usd``.
+The robot's MJCF with spheres of the rolling radius in place of its ellipsoid tyres, which the
+converter leaves out, goes to a limited worker process (``usd_conversion``).  Begin with
+``export_usd``.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.model import Inertial, Pose, Robot
 from thorvaldc.model.spatial import combine
 from thorvaldc.model.statics.joint_tree import tree_of
+from thorvaldc.model.statics.standing_pose import spin_axis
+from thorvaldc.model.statics.wheel_contact import rolling_sphere
 
 _SERVICE = "thorvaldc.tools.usd.usd_conversion"
 _IMPORTS = ("mujoco_usd_converter", "mujoco", "pxr.UsdValidation")
@@ -107,9 +110,20 @@ def _files(robot: Robot) -> dict[str, bytes]:
     the drives are ``velocity`` servos.
     """
     text = ros2_control_files(robot)["mjcf/robot.xml"].decode()
-    # The ellipsoid is a wheel of the rolling radius: so is the sphere of its first radius.
-    spheres = re.sub(r'(<default class="wheel">\s*<geom type=)"ellipsoid"', r'\1"sphere"', text)
-    return {"mjcf/robot.xml": spheres.encode(), **mesh_files(robot)}
+    text = re.sub(r'(<default class="wheel">\s*<geom type=)"ellipsoid"', r'\1"sphere"', text)
+    tree = tree_of(robot)
+    for wheel in robot.wheels:
+        # The ellipsoid is larger, by what it sinks into the ground of MuJoCo.
+        axis = spin_axis(tree, wheel)
+        sphere = rolling_sphere(wheel.radius, axis, tree.pose[wheel.link].rotate(axis)[2])
+        place = " ".join(map(repr, sphere.center))
+        name = re.escape(f'name="{robot.prefix}{wheel.link}_tread"')
+        text = re.sub(
+            rf'(<geom {name}[^>]*) size="[^"]*"(?: pos="[^"]*")?',
+            rf'\1 size="{sphere.radius!r}" pos="{place}"',
+            text,
+        )
+    return {"mjcf/robot.xml": text.encode(), **mesh_files(robot)}
 
 
 def _rigid_bodies(robot: Robot) -> list[dict[str, Any]]:
