@@ -27,6 +27,7 @@ from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Inertial, Purchase, Robot
 from thorvaldc.model.spatial import clean
+from thorvaldc.model.statics.ground_contacts import ground_contacts
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.statics.standing import spring_loads
 from thorvaldc.model.stopping import driven_wheels
@@ -151,13 +152,15 @@ class _Elaborator(NamedTuple):
         if self.calibration is not None:
             actuators = self.calibration.with_steering_offsets(actuators, wheels, self.report)
         stopped = {*driven, *(servo.joint for servo in parts.joint_servos)}
-        joints, loads = spring_loads(tree, list(parts.joints), wheels, stopped)
+        # Other parts on the ground carry their share, of which the model keeps none.
+        contacts = ground_contacts(JointTree(links, parts.joints), wheels, parts.meshes)
+        joints, loads = spring_loads(tree, list(parts.joints), [*wheels, *contacts], stopped)
         parts = replace(
             parts,
             links=links,
             joints=tuple(joints),
             actuators=actuators,
-            wheels=tuple(replace(w, load=clean(n)) for w, n in zip(wheels, loads, strict=True)),
+            wheels=tuple(replace(w, load=clean(n)) for w, n in zip(wheels, loads, strict=False)),
         )
         return parts, tree.inertial()
 

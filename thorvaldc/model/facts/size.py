@@ -19,6 +19,7 @@ from thorvaldc.model import (
 )
 from thorvaldc.model import quantities as si
 from thorvaldc.model.spatial import Quat, add, quat_to_matrix, rotate
+from thorvaldc.model.statics.ground_contacts import with_ground_contacts
 from thorvaldc.model.statics.joint_tree import JointTree, tree_of
 from thorvaldc.model.statics.occupied_space import solids_of
 from thorvaldc.model.stl import mesh_vertices
@@ -38,7 +39,8 @@ class Size:
     - ``wheelbase``, ``track``: largest distance of two wheels along x and along y, or ``None`` if
       all wheels are in one line. A wheel that steers or swivels counts where its axis meets the
       ground.
-    - ``ground_clearance``: height of the lowest part that does not roll, or ``None`` without parts.
+    - ``ground_clearance``: height of the lowest part that does not roll or stand on the ground, or
+      ``None`` without parts.
     - ``lowest_module``: path of the module with that part.
     - ``meshes_left_out``: names of mesh files whose bytes the model does not contain.
     """
@@ -137,7 +139,7 @@ def size_of(robot: Robot) -> Size:
                 boxes.append((name, add(place.xyz, box[0]), add(place.xyz, box[1])))
     lower = _corner(min, (box[1] for box in boxes))
     upper = _corner(max, (box[2] for box in boxes))
-    rolling = rolling_links(tree, robot.wheels)
+    rolling = rolling_links(tree, with_ground_contacts(robot).wheels)
     lowest = min(
         (box for box in boxes if box[0] not in rolling), key=lambda box: box[1][2], default=None
     )

@@ -10,6 +10,7 @@ from thorvaldc.model import Robot, Wheel
 from thorvaldc.model import quantities as si
 from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.spatial import GRAVITY, clean
+from thorvaldc.model.statics.ground_contacts import with_ground_contacts
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.standing import standing_of
 from thorvaldc.model.statics.static_loads import maximize, null_space, spring_rates
@@ -71,10 +72,12 @@ MOST_WHEELS = 30
 def load_ranges(robot: Robot) -> tuple[tuple[float, float], ...] | None:
     """Return the smallest and the largest load in N of each wheel, in the order of the model.
 
-    They are those that the balances allow, equal for a wheel whose load they determine; of a robot
+    Other parts on the ground, as of ``with_ground_contacts``, come after the wheels. The loads are
+    those that the balances allow, equal for a wheel whose load they determine; of a robot
     with a spring above each wheel, those on ground that is uneven by ``UNEVEN``. Returns ``None``
     for a robot that does not stand, has no wheels or has more than ``MOST_WHEELS``.
     """
+    robot = with_ground_contacts(robot)
     if not robot.wheels or len(robot.wheels) > MOST_WHEELS:
         return None
     standing = standing_of(robot)
@@ -209,7 +212,9 @@ class Stability:
 
 
 def wheel_loads_of(robot: Robot) -> tuple[WheelLoad, ...]:
-    """Return the wheels of a robot with their loads, in the order of the model."""
+    """Return the wheels of a robot with their loads, in the order of the model, and then the other
+    parts that stand on the ground."""
+    robot = with_ground_contacts(robot)
     weight = robot.inertial.mass * GRAVITY
     ranges = load_ranges(robot) or [None] * len(robot.wheels)
     return tuple(

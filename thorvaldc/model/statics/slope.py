@@ -26,6 +26,7 @@ from thorvaldc.model import quantities as si
 from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.model.statics import mobility
+from thorvaldc.model.statics.ground_contacts import with_ground_contacts
 from thorvaldc.model.statics.joint_tree import held_joints, tree_of
 from thorvaldc.model.statics.standing import standing_of
 from thorvaldc.model.statics.static_loads import free_pivots, static_loads
@@ -71,7 +72,7 @@ class SlopeStatics:
     """The forces on one robot on slopes of any angle, driving uphill in any direction."""
 
     def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+        self._robot = robot = with_ground_contacts(robot)
         self._points = [wheel.contact_point for wheel in robot.wheels]
         standing = standing_of(robot)
         self._stopped = held_joints(robot)
@@ -240,7 +241,8 @@ Drive = tuple[Wheel, Joint, Actuator | None]
 def drives_of(robot: Robot) -> list[Drive]:
     joints = {joint.name: joint for joint in robot.joints}
     motors = {actuator.joint: actuator for actuator in robot.actuators}
-    return [(w, joints[w.spin_joint], motors.get(w.spin_joint)) for w in robot.wheels]
+    wheels = with_ground_contacts(robot).wheels
+    return [(w, joints[w.spin_joint], motors.get(w.spin_joint)) for w in wheels]
 
 
 def _resistance(

@@ -46,6 +46,7 @@ from typing import NamedTuple
 from thorvaldc.model import Robot, Wheel, stopping
 from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.spatial import GRAVITY
+from thorvaldc.model.statics.ground_contacts import with_ground_contacts
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.slope import (
     DIRECTIONS,
@@ -243,6 +244,8 @@ def _turned(robot: Robot, heading: float) -> Robot:
 
     The contact points of casters trail behind their swivel axes.
     """
+
+    robot = with_ground_contacts(robot)
 
     def turned(wheel: Wheel) -> Wheel:
         if wheel.swivel_joint is not None:

@@ -27,6 +27,7 @@ from typing import NamedTuple
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import Link, Robot, Vec3
 from thorvaldc.model.spatial import clean
+from thorvaldc.model.statics.ground_contacts import with_ground_contacts
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.sums import float_sum
 
@@ -154,7 +155,8 @@ class Support(NamedTuple):
 def support_of(robot: Robot) -> Support:
     """Return the support polygon of a robot with all joints at position 0."""
     x, y, z = robot.inertial.com
-    hull: Sequence[Point] = convex_hull([wheel.contact_point for wheel in robot.wheels])
+    wheels = with_ground_contacts(robot).wheels
+    hull: Sequence[Point] = convex_hull([wheel.contact_point for wheel in wheels])
     if len(hull) < 3:
         return Support((), z)
     edges = []
