@@ -8,6 +8,7 @@ steers, swivels or springs, with the other joints at 0.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -283,21 +284,27 @@ def _check_touching(robot: Robot, parts: list[_Part], buried: set[str], report: 
     bodies: dict[str, list[ConvexBody]] = {}
     for part in parts:
         bodies.setdefault(part.link.module, []).append(part.body)
-    visible: dict[str, list[ConvexBody]] = {}
+    links: dict[str, list[str]] = {}
+    for link in robot.links:
+        links.setdefault(link.module, []).append(link.name)
+
+    @functools.cache
+    def visible(module: str) -> list[ConvexBody]:
+        return list(_visible_bodies(robot, links.get(module, [])))
+
     for module in robot.modules:
         if not module.mounted or not module.parent or module.name in buried:
             continue
-        if _touches(bodies, module.name, [module.parent]):
+        touched = functools.partial(_touches, bodies.get(module.name, []))
+        if touched(bodies.get(module.parent, [])):
             continue
-        visible = visible or _visible_bodies(robot)
-        others = [name for name in visible if not carries(module.name, name)]
-        if _touches(bodies, module.name, others) or _touches(visible, module.name, others):
+        own = visible(module.name)
+        others = [name for name in links if not carries(module.name, name)]
+        others.sort(key=lambda name: name != module.parent)  # the most probable one first
+        if any(touched(bodies.get(name, [])) or _touches(own, visible(name)) for name in others):
             continue
         overlaps = [
-            overlap_of(other, body)
-            for name in others
-            for other in visible[name]
-            for body in visible.get(module.name, ())
+            overlap_of(other, body) for name in others for other in visible(name) for body in own
         ]
         if overlaps:
             nearest = max(overlaps, key=lambda overlap: overlap.depth)
@@ -311,28 +318,25 @@ def _check_touching(robot: Robot, parts: list[_Part], buried: set[str], report: 
             )
 
 
-def _visible_bodies(robot: Robot) -> dict[str, list[ConvexBody]]:
-    """Returns the bodies of all solids of each module, with boxes around meshes."""
-    pose, modules = tree_of(robot).pose, {link.name: link.module for link in robot.links}
-    bodies: dict[str, list[ConvexBody]] = {}
-    for name, solids in solids_of(robot).items():
-        for shape, place, data in solids:
+def _visible_bodies(robot: Robot, links: Iterable[str]) -> Iterator[ConvexBody]:
+    """Yields the bodies of all solids of links, with boxes around meshes."""
+    pose, solids = tree_of(robot).pose, solids_of(robot)
+    for name in links:
+        for shape, place, data in solids.get(name, ()):
             if isinstance(shape, MeshShape):
                 lower, upper = mesh_box(shape, data)
                 shape = Box(sub(upper, lower))
                 place = place * Pose(scale(0.5, add(lower, upper)))
-            bodies.setdefault(modules[name], []).append(ConvexBody(shape, pose[name] * place))
-    return bodies
+            yield ConvexBody(shape, pose[name] * place)
 
 
-def _touches(bodies: dict[str, list[ConvexBody]], module: str, others: Iterable[str]) -> bool:
-    """Returns whether a module touches one of others."""
+def _touches(bodies: list[ConvexBody], others: list[ConvexBody]) -> bool:
+    """Returns whether one of the bodies touches another one."""
     return any(
         math.dist(body.center, other.center) < body.reach + other.reach + GAP
         and overlap_of(other, body, -GAP, GAP).depth > -GAP
-        for name in others
-        for other in bodies.get(name, ())
-        for body in bodies.get(module, ())
+        for other in others
+        for body in bodies
     )
 
 
