@@ -37,7 +37,7 @@ def test_a_new_frame_carries_legs_that_stand_inwards(robot: Command) -> None:
     text = "thorvaldc: 1\nname: r\nlibrary: [modules]\nmodules:\n  frame: {type: frame/tub}\n"
     for number, port in enumerate(("front_left", "front_right", "rear_left", "rear_right"), 1):
         text += f"  {port}: {{type: assembly/steered_drive, mount: frame.{port}, can: {number}}}\n"
-    text += "  box: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0, 0.2]}, can: 1}\n"
+    text += "  box: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0, 0.15]}, can: 1}\n"
     Path("r/tub.yaml").write_text(text)
     status, out, err = robot("check", "--strict", "r/tub.yaml")
     assert (status, err) == (0, ""), out

@@ -20,8 +20,8 @@ modules:
   rr: {type: assembly/steered_drive, mount: frame.rear_right}
   battery:
     type: battery/enclosure
-    mount: {parent: frame, xyz: [0, 0, 70 mm], rpy: [0, 0, 90 deg]}
-extras: [{xacro: tool.urdf, parent: frame, xyz: [0, 0, 0.3]}]
+    mount: {parent: frame, xyz: [0, 397 mm, 70 mm]}
+extras: [{xacro: tool.urdf, parent: frame, xyz: [-0.3, 0, 0.3]}]
 """
 TOOL = """<robot name="tool">
 <link name="plate">

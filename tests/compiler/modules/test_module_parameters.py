@@ -96,8 +96,8 @@ def test_let_values_in_any_order_and_with_units(workshop: Workshop) -> None:
 
 
 def test_list_parameter_as_a_vector(workshop: Workshop) -> None:
-    params = f"  e: {{type: list, quantity: length, default: [1, 20 mm, 3], {PARAM}}}"
-    assert size(workshop, document(params, '"${e}"')) == (1.0, 0.02, 3.0)
+    params = f"  e: {{type: list, quantity: length, default: [1, 20 mm, 300 mm], {PARAM}}}"
+    assert size(workshop, document(params, '"${e}"')) == (1.0, 0.02, 0.3)
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ modules:
   r: {type: assembly/steered_drive, mount: frame.rear_right, can: 2}
   a: {type: caster/swivel, mount: frame.front_left}
   b: {type: caster/swivel, mount: frame.front_right}
-  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0, 0.07]}, can: 1}
+  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0.397, 0.07]}, can: 1}
 """
 
 

@@ -247,7 +247,7 @@ def test_injected_faults_end_between_episodes(gymnasium: Any) -> None:
 RANDOM = {
     "world.friction": (0.3, 0.8),
     "faults.0.until": ["9 s", "11 s"],
-    "modules.frame.params.width": ("0.7 m", "0.9 m"),
+    "modules.frame.params.width": ("1.4 m", "1.6 m"),
     "noise.wheel_speed": lambda random: random.normal(0.02, 0.001),
 }
 
@@ -313,7 +313,7 @@ def test_values_that_no_environment_can_have(gymnasium: Any, tmp_path: Path) -> 
 def test_the_checker_passes_with_other_robots(gymnasium: Any) -> None:
     from gymnasium.utils.env_checker import check_env
 
-    width = {"modules.frame.params.width": ("0.7 m", "0.9 m")}
+    width = {"modules.frame.params.width": ("1.4 m", "1.6 m")}
     env = environment(gymnasium, SLIM, randomize=width)
     check_env(env.unwrapped, skip_render_check=True)
     env.close()

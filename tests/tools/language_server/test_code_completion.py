@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from lsprotocol import types
 
@@ -11,13 +13,15 @@ from tests.tools.language_server.texts import POST, ROBOT, WITH_POST, edited
 pytestmark = pytest.mark.asyncio(loop_scope="package")
 
 LINE = "  new: {type: assembly/steered_drive, mount: frame.rear_center, can: 7}\n"
+UNSET = re.sub("driver:.*\n", "", ROBOT)
+"""The robot without its section `driver`."""
 UNFINISHED = "thorvaldc: 1\nmodules:\n  new: {type: assembly/steered_drive, mount: |\n"
 FRAME = "{type: frame/tube_rectangular, params: {length: 1 m, width: 0.8 m}}"
 CASES = [  # file, text, proposals at the start, words that are not proposed
     ("robot.yaml", ROBOT + "|", ["defaults", "design", "extras"], ["modules", "name"]),
     ("robot.yaml", ROBOT + "ext|", ["extras"], ["modules"]),
-    ("robot.yaml", ROBOT + "driver:\n  ra|", ["rate"], ["modules"]),
-    ("robot.yaml", ROBOT + "driver: {arming: |", ["required", "automatic"], []),
+    ("robot.yaml", UNSET + "driver:\n  ra|", ["rate"], ["modules"]),
+    ("robot.yaml", UNSET + "driver: {arming: |", ["required", "automatic"], []),
     ("robot.yaml", ROBOT + "ros:\n  distro: |\n", ["jazzy", "kilted"], ["name"]),
     ("robot.yaml", ROBOT + "  new: {type: |", ["assembly/steered_drive", "wheel/agri_200"], []),
     ("robot.yaml", ROBOT + "  new:\n    type: cas|\n", ["caster/fixed", "caster/swivel"], []),
@@ -43,7 +47,7 @@ CASES = [  # file, text, proposals at the start, words that are not proposed
         ["m", "mm", "cm"],
         ["kg", "s"],
     ),
-    ("robot.yaml", ROBOT + "driver: {rate: 50|", ["Hz"], ["m"]),
+    ("robot.yaml", UNSET + "driver: {rate: 50|", ["Hz"], ["m"]),
     ("robot.yaml", ROBOT + "defaults:\n  |", ["drive", "battery", "frame"], ["rate"]),
     ("robot.yaml", ROBOT + "defaults: {drive: {|", ["gear_ratio"], ["rate"]),
     ("robot.yaml", "thorvaldc: 1\nbase_calculator: |\n", ["general", "differential"], []),
@@ -80,10 +84,10 @@ async def test_a_proposal_replaces_the_word_at_the_cursor(editor: Editor) -> Non
         ("  é🚜: {ty|}\n", "type", "  é🚜: {type: }\n"),
         ("driver:\n  tw|\n", "twist_sources", "driver:\n  twist_sources:\n"),
     ):
-        items = await editor.complete("robot.yaml", ROBOT + before)
+        items = await editor.complete("robot.yaml", UNSET + before)
         edit = items[label].text_edit
         assert isinstance(edit, types.TextEdit)
-        assert edited(ROBOT + before.replace("|", ""), [edit]) == ROBOT + after
+        assert edited(UNSET + before.replace("|", ""), [edit]) == UNSET + after
 
 
 async def test_free_ports_that_fit_come_first(editor: Editor) -> None:

@@ -126,21 +126,11 @@ def _true_distance(description: FileDescription, fact: Fact, axis: int) -> Fact 
 
 
 def wheel_radius(description: FileDescription, joint: Joint) -> Fact | None:
-    """Returns the radius of the wheel that a joint turns, from its shapes, or ``None``.
-
-    A wheel is a sphere, or a cylinder whose axis is that of the joint, with its centre on the axis.
-    Collision shapes count before shapes for the eye.  The largest wheel of the link counts.
-    """
-    wheels = _round_shapes(description, joint)
-    for collides in (True, False):
-        radii = [
-            Fact("wheel radius", f"joint `{joint.name}`", wheel.shape.radius, wheel.span, "m")
-            for wheel in wheels
-            if wheel.collides is collides
-        ]
-        if radii:
-            return max(radii, key=lambda fact: float(fact.value))
-    return None
+    """Returns the radius of the wheel that a joint turns, from its shapes, or ``None``."""
+    tyre = _tyre(description, joint)
+    if tyre is None:
+        return None
+    return Fact("wheel radius", f"joint `{joint.name}`", tyre.shape.radius, tyre.span, "m")
 
 
 def wheel_center(description: FileDescription, joint: Joint) -> Vec3 | None:
@@ -152,9 +142,9 @@ def wheel_center(description: FileDescription, joint: Joint) -> Vec3 | None:
     link = description.poses.get(joint.child)
     if link is None:
         return None
-    wheels = sorted(_round_shapes(description, joint), key=lambda wheel: not wheel.collides)
-    if wheels:
-        return link.apply(wheels[0].pose.xyz)
+    tyre = _tyre(description, joint)
+    if tyre is not None:
+        return link.apply(tyre.pose.xyz)
     parts = map(description.links.__getitem__, description.rigid_part(joint.child))
     return None if any(part.visuals or part.collisions for part in parts) else link.xyz
 
@@ -164,6 +154,15 @@ class _Wheel(NamedTuple):
     pose: Pose
     collides: bool
     span: Span
+
+
+def _tyre(description: FileDescription, joint: Joint) -> _Wheel | None:
+    """Returns the largest round shape that a joint turns, of the collision shapes if there are any.
+
+    A wheel is a sphere, or a cylinder whose axis is that of the joint, with its centre on the axis.
+    """
+    wheels = _round_shapes(description, joint)
+    return max(wheels, key=lambda wheel: (wheel.collides, wheel.shape.radius), default=None)
 
 
 def _round_shapes(description: FileDescription, joint: Joint) -> list[_Wheel]:
