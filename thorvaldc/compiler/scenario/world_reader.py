@@ -1,8 +1,7 @@
 """Reads the world of a scenario (ground, zones, obstacles), and checks where robots start in it.
 
-A robot and an obstacle overlap if their outlines from above overlap, at a height that both have.
-The outline of the robot consists of the convex outlines of its collision shapes and wheels, so that
-a tall robot may start above a row of plants.
+A robot starts in an obstacle if one of its collision shapes is inside it, so that a tall robot may
+start above a row of plants.
 """
 
 from __future__ import annotations
@@ -10,16 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import NamedTuple
 
 from thorvaldc import model
 from thorvaldc.compiler.source.node import Node, insertion, removal
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Proposal, Report, plain
+from thorvaldc.model import spatial
+from thorvaldc.model.statics.convex_bodies import ConvexBody, overlap_along, overlap_of
 from thorvaldc.model.statics.joint_tree import tree_of
-from thorvaldc.model.statics.occupied_space import corners_of, solids_of
-from thorvaldc.model.statics.tip_over import Point, convex_hull, overlap
+from thorvaldc.model.statics.occupied_space import solids_of
 
 _KEYS_OF_SLOPES = ("angle", "direction")
 _KEYS_OF_ROUGH_GROUND = ("amplitude", "wavelength", "seed", "size")
@@ -319,26 +318,10 @@ def _offset(x: float, y: float, z: float) -> model.Pose:
 
 # -- where robots start ------------------------------------------------------------------
 
-_TOLERANCE = 0.01  # Overlap (m) that is not reported: the outline of a circle is not exact.
+_TOLERANCE = 0.01  # Overlap (m) that is not reported.
+_WAYS = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0))
 _CARRYING = ("kerb", "rail")  # kinds of blocks on which wheels may stand
 _SECTIONS = {"crop": "crop_rows", "post": "polytunnels"}
-
-
-class _Solid(NamedTuple):
-    """Points (m) of a convex body in the world, and its lowest and highest point (m)."""
-
-    points: list[model.Vec3]
-    bottom: float
-    top: float
-
-    def outline(self, height: float = math.inf) -> list[Point]:
-        """Returns the outline from above of the points that are not higher than ``height``."""
-        return convex_hull([(x, y) for x, y, z in self.points if z <= height])
-
-    def misses(self, least_x: float, most_x: float, least_y: float, most_y: float) -> bool:
-        """Returns whether the body is outside of a rectangle on the ground."""
-        xs, ys = [x for x, _, _ in self.points], [y for _, y, _ in self.points]
-        return max(xs) < least_x or min(xs) > most_x or max(ys) < least_y or min(ys) > most_y
 
 
 def check_starts(fleet: model.Fleet, world: Section, report: Report) -> None:
@@ -366,37 +349,29 @@ def check_starts(fleet: model.Fleet, world: Section, report: Report) -> None:
 def check_obstacles(fleet: model.Fleet, world: Section, report: Report) -> None:
     """Reports each robot that starts inside an obstacle, a plant or a post."""
     blocks = [
-        (block, _solid(block.shape, block.pose))
+        (block, ConvexBody(block.shape, block.pose))
         for block in (fleet.world.blocks if fleet.world is not None else ())
         if block.kind not in _CARRYING
     ]
-    if not blocks:
-        return
-    for placement in fleet.placements:
+    for placement in fleet.placements if blocks else ():
         parts = list(_parts(placement))
-        if not parts:
-            continue
-        xs, ys = zip(*((x, y) for part in parts for x, y, _ in part.points), strict=True)
-        reach = min(xs), max(xs), min(ys), max(ys)
         reported: set[int] = set()
-        for block, solid in blocks:
+        for block, body in blocks:
             node = _node(block, world.node)
-            if node is None or solid is None or id(node) in reported or solid.misses(*reach):
+            if node is None or id(node) in reported:
                 continue
-            moves = [
-                move
+            depths = [
+                overlap_of(part, body, _TOLERANCE).depth
                 for part in parts
-                if part.bottom < solid.top - _TOLERANCE
-                and solid.bottom < part.top - _TOLERANCE
-                and (move := overlap(part.outline(solid.top), solid.outline())) is not None
+                if math.dist(part.center, body.center) < part.reach + body.reach
             ]
-            depth, direction = max(moves, default=(0.0, (1.0, 0.0)))
+            depth = max(depths, default=0.0)
             if depth > _TOLERANCE:
                 reported.add(id(node))
-                dx, dy = direction
-                end = max(x * dx + y * dy for part in parts for x, y, _ in part.points)
-                start = min(x * dx + y * dy for x, y, _ in solid.points)
-                _report(placement, block, node, depth, end - start, direction, report)
+                distances = (
+                    (max(overlap_along(part, body, way) for part in parts), way) for way in _WAYS
+                )
+                _report(placement, block, node, depth, min(distances), report)
 
 
 def _report(
@@ -404,21 +379,18 @@ def _report(
     block: model.Block,
     node: Node,
     depth: float,
-    distance: float,
-    direction: Point,
+    way: tuple[float, model.Vec3],
     report: Report,
 ) -> None:
-    """Reports a block that overlaps a part by ``depth``, and the whole robot by ``distance``."""
+    """Reports a block that is inside a robot by ``depth`` (m), and that is beside the robot after
+    the ``way``, a distance (m) in a direction."""
     what = {"crop": "a plant", "post": "a post"}.get(block.kind, f"the obstacle `{block.name}`")
     hint = "start the robot beside it"
     position = node.get("xyz")
     if block.kind == "obstacle" and position is not None:
-        x, y, z = block.pose.xyz[0], block.pose.xyz[1], 0.0
-        distance += 0.5
-        moved = ", ".join(
-            f"{plain(round(value, 2))} m"
-            for value in (x + distance * direction[0], y + distance * direction[1], z)
-        )
+        distance, direction = way
+        x, y, _ = spatial.add(block.pose.xyz, spatial.scale(distance + 0.5, direction))
+        moved = ", ".join(f"{plain(round(value, 2))} m" for value in (x, y, 0.0))
         hint = Proposal(
             f"move one of them, for example the obstacle to `[{moved}]`",
             f"[{moved}]",
@@ -442,20 +414,9 @@ def _node(block: model.Block, world: Node) -> Node | None:
     return nodes[number - 1] if number <= len(nodes) else None
 
 
-def _parts(placement: model.Placement) -> Iterator[_Solid]:
-    """Yields the solids of a placed robot in the world but its meshes, with all joints at zero."""
+def _parts(placement: model.Placement) -> Iterator[ConvexBody]:
+    """Yields the collision shapes of a placed robot in the world, with all joints at zero."""
     poses = tree_of(placement.robot).pose
-    for name, solids in solids_of(placement.robot).items():
-        for shape, pose, _ in solids:
-            solid = _solid(shape, placement.pose * poses[name] * pose)
-            if solid is not None:
-                yield solid
-
-
-def _solid(shape: model.Shape, pose: model.Pose) -> _Solid | None:
-    """Returns the points of a shape in the world, or ``None`` for a mesh."""
-    points = corners_of(shape, pose)
-    if not points:
-        return None
-    heights = [z for _, _, z in points]
-    return _Solid(points, min(heights), max(heights))
+    for name, solids in solids_of(placement.robot, with_visuals=False).items():
+        for shape, pose, data in solids:
+            yield ConvexBody(shape, placement.pose * poses[name] * pose, data)

@@ -71,28 +71,6 @@ def separates(hull: Sequence[Point], other: Sequence[Point]) -> bool:
     return False
 
 
-def overlap(hull: Sequence[Point], other: Sequence[Point]) -> tuple[float, Point] | None:
-    """Returns the shortest move of ``other`` after which two convex polygons do not overlap.
-
-    The result is the distance (m) and the direction (unit vector), or ``None`` if the polygons do
-    not overlap.  The shortest move is along the normal of an edge of one of the polygons.
-    """
-    best: tuple[float, Point] | None = None
-    for corners, sign in ((hull, 1.0), (other, -1.0)):
-        for (ax, ay), (bx, by) in zip(corners, [*corners[1:], *corners[:1]], strict=True):
-            length = math.hypot(bx - ax, by - ay)
-            if length == 0.0:
-                continue
-            nx, ny = (by - ay) / length, (ax - bx) / length  # outwards
-            opposite = other if corners is hull else hull
-            depth = -min((x - ax) * nx + (y - ay) * ny for x, y in opposite)
-            if depth <= 0.0:
-                return None
-            if best is None or depth < best[0]:
-                best = depth, (sign * nx, sign * ny)
-    return best
-
-
 _SHORTEST_EDGE = 1e-9  # m
 _LOWEST_HEIGHT = 1e-9  # m
 
