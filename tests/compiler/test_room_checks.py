@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,25 @@ modules:
   rl: {type: assembly/steered_drive, mount: frame.rear_left}
   rr: {type: assembly/steered_drive, mount: frame.rear_right}
   battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0.397, 0.07]}}
+"""
+BOOM = """thorvaldc: 1
+description: A boom that swings.
+mount: {kinds: [frame_clamp], link: foot}
+links:
+  foot: {parts: [{shape: {box: [0.05, 0.05, 0.05]}, mass: 1 kg, source: "chosen: a test"}]}
+  arm:
+    parts:
+      - {shape: {box: [1.5, 0.03, 0.03]}, xyz: [0.75, 0, 0], mass: 1 kg, source: "chosen: a test"}
+joints:
+  swing:
+    {type: revolute, role: swivel, parent: foot, child: arm, axis: [0, 0, 1], lower: -1.5,
+     upper: 1.5}
+"""
+POST = """thorvaldc: 1
+description: A thin post.
+mount: {kinds: [frame_clamp], link: post}
+links:
+  post: {parts: [{shape: {box: [0.03, 0.03, 0.5]}, mass: 1 kg, source: "chosen: a test"}]}
 """
 CODES = ("parts-overlap", "part-loose", "part-below-ground", "wheels-overlap")
 
@@ -141,6 +161,36 @@ def test_modules_in_one_place_are_not_reported_against_each_other_all(
     )
     diagnostics = room(tmp_path, FOUR + sensors)
     assert 290 <= len(diagnostics) <= 900
+
+
+def test_the_way_of_the_hint_leads_to_a_part(tmp_path: Path) -> None:
+    laser = "  laser: {{type: sensor/lidar_2d, mount: {{parent: frame, xyz: [{}, {}, {}]}}}}\n"
+    ((code, _, _, hint),) = room(tmp_path, FOUR + laser.format(0.3, 0.8, 0.5))
+    assert code == "part-loose"
+    ways = {
+        "forwards": (0, 1),
+        "backwards": (0, -1),
+        "to the left": (1, 1),
+        "to the right": (1, -1),
+    }
+    xyz = [0.3, 0.8, 0.5]
+    for distance, words in re.findall(r"([\d.]+) mm ([a-z ]+?)(?: and|,)", hint):
+        axis, sign = {**ways, "up": (2, 1), "down": (2, -1)}[words]
+        xyz[axis] += sign * float(distance) / 1000
+    assert room(tmp_path, FOUR + laser.format(*xyz)) == []
+
+
+def test_a_thin_post_in_the_way_of_a_long_boom(tmp_path: Path) -> None:
+    """The post is between two of the positions that are 10 deg apart."""
+    boom, post = tmp_path / "modules/my/boom", tmp_path / "modules/my/post"
+    for folder, text in ((boom, BOOM), (post, POST)):
+        folder.mkdir(parents=True)
+        (folder / "module.yaml").write_text(text)
+    text = FOUR.replace("modules:\n", "library: [modules]\nmodules:\n")
+    text += "  boom: {type: my/boom, mount: {parent: frame, xyz: [0.55, 0, 0.1]}}\n"
+    text += "  post: {type: my/post, mount: {parent: frame, xyz: [1.8, 0.583, 0.1]}}\n"
+    messages = [message for code, _, message, _ in room(tmp_path, text) if code == "parts-overlap"]
+    assert any("when `boom_swing` is at 25 deg" in message for message in messages), messages
 
 
 def test_the_warning_can_be_accepted(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from thorvaldc.model.statics.convex_bodies import (
     overlap_along,
     overlap_of,
 )
+from thorvaldc.model.statics.ground_contacts import ON_GROUND
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.occupied_space import solids_of
 
@@ -39,6 +40,8 @@ GAP = 0.02
 MOST = 3
 """Number of modules inside which a module is reported."""
 ANGLE_STEP = math.radians(10.0)
+FINEST = 12
+"""Largest number of positions in an ``ANGLE_STEP``, for thin bodies far from the axis."""
 _MOVING = ("steering", "swivel", "suspension")
 _WORDS: dict[Vec3, str] = {
     (1.0, 0.0, 0.0): "forwards",
@@ -63,6 +66,19 @@ class _Travel(NamedTuple):
             return Pose(scale(position, self.axis))
         turn = Pose(quat=quat_from_axis_angle(self.axis, position))
         return Pose(sub(self.origin, turn.rotate(self.origin)), turn.quat)
+
+    def between(self, moved: ConvexBody, other: ConvexBody) -> Iterator[float]:
+        """Yields positions, so near to each other that a body on its way misses no other one."""
+        positions = self.positions
+        if self.joint.type != "prismatic":
+            far = min(self.distances(moved)[1], self.distances(other)[1])
+            arc = far * (positions[1] - positions[0])
+            parts = min(max(math.ceil(arc / (moved.thickness + other.thickness)), 1), FINEST)
+            steps = (len(positions) - 1) * parts
+            positions = tuple(
+                positions[0] + (positions[-1] - positions[0]) * k / steps for k in range(steps + 1)
+            )
+        yield from positions
 
     def distances(self, body: ConvexBody) -> tuple[float, float]:
         """Returns the least and the largest distance (m) of a body from the axis, at most."""
@@ -221,7 +237,7 @@ def _meeting(first: _Part, second: _Part, are_tyres: bool) -> _Meeting | None:
         for travel in moved.travels:
             if travel in other.travels or not _may_meet(travel, moved.body, other.body):
                 continue
-            for position in travel.positions:
+            for position in travel.between(moved.body, other.body):
                 bodies = moved.body.moved(travel.motion(position)), other.body
                 a, b = bodies if moved is first else bodies[::-1]
                 overlap = overlap_of(a, b, TOLERANCE)
@@ -303,19 +319,34 @@ def _check_touching(robot: Robot, parts: list[_Part], buried: set[str], report: 
         others.sort(key=lambda name: name != module.parent)  # the most probable one first
         if any(touched(bodies.get(name, [])) or _touches(own, visible(name)) for name in others):
             continue
-        overlaps = [
-            overlap_of(other, body) for name in others for other in visible(name) for body in own
-        ]
-        if overlaps:
-            nearest = max(overlaps, key=lambda overlap: overlap.depth)
-            way = min(_WORDS, key=lambda way: dot(way, nearest.direction))
+        nearest = _nearest(own, [body for name in others for body in visible(name)])
+        if nearest is not None:
+            moves = ((nearest.depth * dot(nearest.direction, way), way) for way in _WORDS)
+            ways = [f"{millimetres(s)} {_WORDS[way]}" for s, way in moves if s > 1e-3]
             report.add(
                 "part-loose",
                 f"`{module.name}` touches nothing: the nearest part is "
                 f"{millimetres(-nearest.depth)} away",
                 module.span,
-                hint=f"move it {_WORDS[way]}, or mount it on a part that reaches it",
+                hint=f"move it {' and '.join(ways)}, or mount it on a part that reaches it",
             )
+
+
+def _nearest(bodies: list[ConvexBody], others: list[ConvexBody]) -> Overlap | None:
+    """Returns the overlap, of a negative depth, of the two bodies that are nearest."""
+    pairs = [
+        (math.dist(body.center, other.center) - body.reach - other.reach, k, n)
+        for k, body in enumerate(bodies)
+        for n, other in enumerate(others)
+    ]
+    nearest: Overlap | None = None
+    for bound, k, n in sorted(pairs):
+        if nearest is not None and bound >= -nearest.depth:
+            break  # the spheres around the bodies are farther apart already
+        overlap = overlap_of(others[n], bodies[k])
+        if nearest is None or overlap.depth > nearest.depth:
+            nearest = overlap
+    return nearest
 
 
 def _visible_bodies(robot: Robot, links: Iterable[str]) -> Iterator[ConvexBody]:
@@ -355,7 +386,7 @@ def _check_ground(robot: Robot, parts: list[_Part], report: Report) -> set[str]:
         if link.inertial is not None and link.inertial.mass > 0.0 and link.name in pose:
             heights.setdefault(link.name, pose[link.name].apply(link.inertial.com)[2])
         height = heights.get(link.name, 0.0)
-        if height < -TOLERANCE:
+        if height < -ON_GROUND:
             buried.add(link.module)
             report.add(
                 "part-below-ground",

@@ -59,9 +59,15 @@ TRAILER = f"""<robot name="tail">
 </robot>"""
 
 
-def robot_with(folder: Path, tail: str) -> Robot:
+def robot_with(folder: Path, tail: str, *, four: bool = False) -> Robot:
+    cart = CART
+    if four:
+        rear = "  rl: {type: caster/swivel, mount: frame.rear_left}\n"
+        rear += rear.replace("rl:", "rr:").replace("left", "right")
+        cart = cart.replace("extras:", f"{rear}extras:")
+        tail = tail.replace('mass value="30"', 'mass value="3"')
     (folder / "tail.urdf").write_text(tail)
-    (folder / "robot.yaml").write_text(CART)
+    (folder / "robot.yaml").write_text(cart)
     model = compile_robot(folder / "robot.yaml").model
     assert isinstance(model, Robot)
     return model
@@ -101,6 +107,19 @@ def test_three_supports_carry_what_they_carry_in_mujoco(
     for name, load in computed.items():
         assert load == pytest.approx(measured[name], rel=0.02), (name, measured)
     assert sum(computed.values()) == pytest.approx(robot.inertial.mass * GRAVITY, rel=1e-6)
+
+
+def test_a_trailer_on_a_ball_hitch_does_not_hold_the_base(tmp_path: Path) -> None:
+    """With a joint that gives way, its wheels hold the trailer alone; a turning one carries."""
+    hitch = """<link name="hitch"/>
+  <joint name="turn" type="{kind}">
+    <parent link="hitch"/><child link="bed"/><axis xyz="{axis}"/>
+    <limit lower="-1" upper="1" effort="0" velocity="9"/>
+  </joint>"""
+    for axis, expected in (("0 0 1", ["roll"]), ("0 1 0", []), ("1 0 0", [])):
+        joint = hitch.format(kind="revolute", axis=axis)
+        robot = robot_with(tmp_path, TRAILER.replace('"tail">', f'"tail">{joint}', 1), four=True)
+        assert [w.name for w in with_ground_contacts(robot).wheels][4:] == expected
 
 
 def test_the_facts_count_them(tmp_path: Path) -> None:

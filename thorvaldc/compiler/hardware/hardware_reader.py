@@ -333,14 +333,16 @@ class _HardwareReader:
         links = inlined("module")["properties"]["links"]["additionalProperties"]
         values = Section(part, links["properties"]["parts"]["items"], scope)
         pose = values.pose().clean()
-        shape = self._shape(values["shape"], scope, values.get("collide", False))
+        collides = values["collide"]
+        shape = self._shape(values["shape"], scope, bool(collides))
         if shape is not None and values["show"]:
             visuals.append(model.Visual(shape, pose, self._color(part.get("color"), scope)))
         solid = shape
         if "inertia_shape" in values:
             solid = self._shape(values["inertia_shape"], scope, False)
-        stated = values["collide"]
-        collision = shape if stated else solid if stated is None and "mass" in values else None
+        collision = shape if collides else None
+        if collides is None and "mass" in values and not isinstance(solid, model.MeshShape):
+            collision = solid
         if collision is not None:
             collisions.append(model.Collision(collision, pose))
         inertial = self._inertial(values, solid, scope)

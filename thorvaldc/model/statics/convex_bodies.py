@@ -77,6 +77,11 @@ class ConvexBody:
                 self.half = (shape.radius, 0.0)
                 self.reach = shape.radius
 
+    @property
+    def thickness(self) -> float:
+        """The least extent of a box, cylinder or sphere, in m, else the diameter of its sphere."""
+        return 2.0 * min((size for size in self.half if size > 0.0), default=self.reach)
+
     def moved(self, motion: Pose) -> ConvexBody:
         """Return the body after a motion."""
         body = object.__new__(ConvexBody)

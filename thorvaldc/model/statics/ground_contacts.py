@@ -3,6 +3,10 @@
 They carry a part of the weight. For the statics, each is a wheel without a motor whose contact
 point is the middle of the surface with which it stands on the ground. The base calculator, the
 driver and the targets do not know these wheels.
+
+Parts behind a joint that gives way, such as the pitch of a drawbar or a limp slide, do not hold the
+base, so they are left out. A joint with a vertical axis that turns carries vertical forces as a
+fixed one does.
 """
 
 from __future__ import annotations
@@ -18,9 +22,12 @@ from thorvaldc.model.statics.convex_bodies import ConvexBody
 from thorvaldc.model.statics.joint_tree import JointTree, held_joints, tree_of
 from thorvaldc.model.statics.standing import find_standing
 from thorvaldc.model.statics.static_loads import static_loads
+from thorvaldc.model.sums import float_sum
 
 ON_GROUND = 2e-3
 """Largest height (m) of a part that stands on the ground, as of the wheels of the base."""
+_VERTICAL = 0.99
+"""Least cosine of the angle between a joint axis and the vertical."""
 _TILT = 1e-4
 """Tilt of the four directions downwards, whose furthest points are around a flat surface."""
 
@@ -60,8 +67,20 @@ def ground_contacts(
             else wheels[0].friction,  # it slides
         )
         for link in tree.links.values()
-        if wheels and link.name not in rolling and link.name in tree.parent_joint
+        if wheels and link.name not in rolling and _holds(link.name, tree)
         for point in _contacts(link, tree, data)
+    )
+
+
+def _holds(link: str, tree: JointTree) -> bool:
+    """Returns whether all joints above a link, without that about which it rolls, are stiff."""
+    above = tree.joints_above(link) if link in tree.pose else []
+    moving = [joint for joint in above if joint.type != "fixed"]
+    if moving and moving[0].type == "continuous":
+        del moving[0]
+    return bool(above) and all(
+        joint.type != "prismatic" and abs(tree.pose[joint.child].rotate(joint.axis)[2]) > _VERTICAL
+        for joint in moving
     )
 
 
@@ -79,7 +98,11 @@ def _contacts(
         z = -math.sqrt(1.0 - 2.0 * _TILT * _TILT)
         points = [body.furthest((a * _TILT, b * _TILT, z)) for a in (-1, 1) for b in (-1, 1)]
         if abs(min(z for *_, z in points)) <= ON_GROUND and height > 0.0:
-            yield sum(x for x, *_ in points) / 4, sum(y for _, y, _ in points) / 4, height
+            yield (
+                float_sum(x for x, *_ in points) / 4,
+                float_sum(y for _, y, _ in points) / 4,
+                height,
+            )
 
 
 @once_per_model
