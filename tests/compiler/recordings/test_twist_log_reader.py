@@ -181,6 +181,10 @@ def test_logs_without_velocities_are_reported(tmp_path: Path) -> None:
     bag(tmp_path / "wild", {"/cmd_vel": [(0.0, float("nan"), 0.0)]})
     (tmp_path / "drive.csv").write_text("time,vx\n0,1\n")
     (tmp_path / "holes.csv").write_text("time,vx\n0,1\n1,\n")
+    start = 1_764_449_485_123_456_789
+    times = f"time,vx\n{start},0.5\n{start + 2_000_000_000},0\n"
+    (tmp_path / "nanoseconds.csv").write_text(times)
+    (tmp_path / "empty.csv").write_text("time,vx\n")
     (tmp_path / "cut.mcap").write_bytes((tmp_path / "bag/bag.mcap").read_bytes()[:300])
     (tmp_path / "folder").mkdir()
     for script, code, message, hint in (
@@ -190,6 +194,8 @@ def test_logs_without_velocities_are_reported(tmp_path: Path) -> None:
         ("{log: wild, robot: cart}", "script-log", "is no number or above 1e+09", ""),
         ("{log: drive.csv, topic: /a}", "script-log", "not a ROS bag", ""),
         ("{log: holes.csv}", "script-log", "no velocity at 1 s", ""),
+        ("{log: nanoseconds.csv}", "script-log", "lasts 2e+09 s", "write the times in s"),
+        ("{log: empty.csv}", "script-log", "has no lines", ""),
         ("{log: folder, robot: cart}", "script-log", "no file cart.csv", ""),
         ("{log: cut.mcap}", "record-unreadable", "cannot be read as a ROS bag", "mcap recover"),
         ("{log: drive.csv, robot: car}", "scenario-robot-unknown", "no robot `car`", "`cart`"),

@@ -17,6 +17,8 @@ from thorvaldc.model.scenario import Command
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 _COMPONENTS = ("vx", "vy", "wz")
 _LARGEST = 1e9  # Largest plausible velocity in a log file (m/s or rad/s).
+LONGEST_LOG = 1e6
+"""Longest duration (s) of a CSV file; a longer one has its times in ms, us or ns."""
 
 
 def read_twists(
@@ -102,6 +104,11 @@ def _read_csv(path: Path, display: str, report: Report) -> tuple[float, list[Com
     if columns is None:
         return None
     times = columns[TIME]
+    if not times or times[-1] - times[0] > LONGEST_LOG:
+        message = "has no lines" if not times else f"lasts {times[-1] - times[0]:.3g} s"
+        hint = "write the times in s" if times else None
+        report.add("script-log", f"`{display}` {message}", header.span, hint=hint)
+        return None
     zeros = [0.0] * len(times)
     commands: list[Command] = []
     for row in zip(times, *(columns.get(name, zeros) for name in names), strict=True):
