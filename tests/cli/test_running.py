@@ -295,7 +295,8 @@ def test_over_a_bus_in_another_process(tmp_path: Path) -> None:
 def test_a_late_process_of_the_bus_is_no_silent_node(tmp_path: Path) -> None:
     """SIGSTOP stops the bus for 120 ms, five times, and then for a second.
 
-    On a busy computer, an earlier pause may end the drive, for the same reason.
+    On a busy computer, an earlier pause may end the drive, for the same reason, or since joint
+    states are missing for a moment.
     """
     (tmp_path / "good.yaml").write_text(GOOD)
     with running(tmp_path, "good.yaml") as (bus, listing):
@@ -314,7 +315,7 @@ def test_a_late_process_of_the_bus_is_no_silent_node(tmp_path: Path) -> None:
             time.sleep(0.5)
         err = "".join(lines) + process.communicate(timeout=300)[1]
         assert process.returncode == 3, err
-        assert re.search(r"TV880.*\bbus `main`.* too busy\?", err), err
+        assert re.search(r"TV880.*(\bbus `main`.* too busy\?|no usable joint states)", err), err
         assert "silent" not in err
         end(bus)
 
