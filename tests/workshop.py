@@ -211,8 +211,8 @@ EXPECTED = (
     "no-drive",
     "battery-missing",
     "module-massless",
-    "audit-density",
-    "audit-inertia-size",
+    "density-implausible",
+    "inertia-too-large",
     "parts-overlap",
     "part-loose",
 )

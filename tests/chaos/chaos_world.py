@@ -306,17 +306,13 @@ class ChaosWorld:
         check_commands(self, now)
         self.odometry.check(now)
 
-    def run_until(self, end: float, stop: Callable[[], bool] | None = None) -> None:
+    def run_until(self, end: float, stop: Callable[[], bool] = lambda: False) -> None:
         """Runs the driver, or the robot alone, until a time (s) or until ``stop()`` is true."""
-        while self.now < end - 1e-9 and not (stop is not None and stop()):
+        while self.now < end - 1e-9 and not stop():
             if not self.alive:
-                self.timeline.run_until(
-                    to_ns(end), lambda: bool(self._end) or (stop is not None and stop())
-                )
+                self.timeline.run_until(to_ns(end), lambda: bool(self._end) or stop())
             else:
-                self.driven.run(
-                    end, watch=self._watch, stop=lambda: bool(self._end) or (stop or _never)()
-                )
+                self.driven.run(end, watch=self._watch, stop=lambda: bool(self._end) or stop())
             how, self._end = self._end, ""
             if how == "start" and not self.alive:
                 self.start_driver(self._start_wrong)
@@ -595,7 +591,3 @@ class ChaosWorld:
     def _call(self, client: ChaosClient, service: str, **arguments: Any) -> None:
         client.call(service, arguments)
         self.run_until(self.now + CALL_TIME)
-
-
-def _never() -> bool:
-    return False

@@ -145,6 +145,15 @@ def check_sample(shown: list[str], printed: list[str]) -> None:
         assert any(same_numbers(other, line) for other in rest), line
 
 
+def test_the_robot_of_the_readme_has_no_warning(tmp_path: Path) -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    robot = re.findall(r"^```yaml\n(.*?)^```$", text, re.M | re.S)[0]
+    (tmp_path / "robot.yaml").write_text(robot, encoding="utf-8")
+    assert printed_by(tmp_path, "check", "--strict", "robot.yaml")[:1] == [
+        "robot.yaml: scout, 4 wheels (4 driven, 4 steered), 142.2 kg"
+    ]
+
+
 def test_the_page_on_comparisons_shows_what_diff_prints(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text(GOOD, encoding="utf-8")
     other = GOOD.replace("width: 0.9 m", "width: 1 m")

@@ -20,7 +20,7 @@ from thorvaldc.model.spatial import add, dot, norm, quat_from_axis_angle, scale,
 from thorvaldc.model.statics.convex_bodies import (
     ConvexBody,
     Overlap,
-    mesh_box,
+    bounds_of,
     overlap_along,
     overlap_of,
 )
@@ -39,9 +39,10 @@ GAP = 0.02
 """Largest distance (m) of parts that touch each other: a flange or a clamp may not be described."""
 MOST = 3
 """Number of modules inside which a module is reported."""
-ANGLE_STEP = math.radians(10.0)
-FINEST = 12
-"""Largest number of positions in an ``ANGLE_STEP``, for thin bodies far from the axis."""
+LARGEST_TURN = math.radians(10.0)
+"""Largest angle between two positions of a joint at which bodies are compared."""
+MOST_STEPS = 400
+"""Largest number of positions of a joint, for thin bodies far from its axis."""
 _MOVING = ("steering", "swivel", "suspension")
 _WORDS: dict[Vec3, str] = {
     (1.0, 0.0, 0.0): "forwards",
@@ -54,31 +55,30 @@ _WORDS: dict[Vec3, str] = {
 
 
 class _Travel(NamedTuple):
-    """A joint that moves a body: its axis in ``base_link``, and its motions from position 0."""
+    """A joint that moves a body, with its axis in ``base_link`` and its limits."""
 
     joint: Joint
     axis: Vec3
     origin: Vec3
-    positions: tuple[float, ...]
+    lower: float
+    upper: float
 
     def motion(self, position: float) -> Pose:
+        """Returns the motion of a body from position 0 to another one."""
         if self.joint.type == "prismatic":
             return Pose(scale(position, self.axis))
         turn = Pose(quat=quat_from_axis_angle(self.axis, position))
         return Pose(sub(self.origin, turn.rotate(self.origin)), turn.quat)
 
-    def between(self, moved: ConvexBody, other: ConvexBody) -> Iterator[float]:
+    def positions(self, moved: ConvexBody, other: ConvexBody) -> Iterator[float]:
         """Yields positions, so near to each other that a body on its way misses no other one."""
-        positions = self.positions
+        way, least = self.upper - self.lower, 1
         if self.joint.type != "prismatic":
-            far = min(self.distances(moved)[1], self.distances(other)[1])
-            arc = far * (positions[1] - positions[0])
-            parts = min(max(math.ceil(arc / (moved.thickness + other.thickness)), 1), FINEST)
-            steps = (len(positions) - 1) * parts
-            positions = tuple(
-                positions[0] + (positions[-1] - positions[0]) * k / steps for k in range(steps + 1)
-            )
-        yield from positions
+            least = math.ceil(way / LARGEST_TURN)
+            way *= min(self.distances(moved)[1], self.distances(other)[1])
+        steps = math.ceil(way / (moved.thickness + other.thickness))
+        steps = max(min(steps, MOST_STEPS), least, 1)
+        yield from (self.lower + (self.upper - self.lower) * k / steps for k in range(steps + 1))
 
     def distances(self, body: ConvexBody) -> tuple[float, float]:
         """Returns the least and the largest distance (m) of a body from the axis, at most."""
@@ -140,7 +140,7 @@ def _parts(robot: Robot) -> Iterator[_Part]:
             reach = body.reach
             for travel in travels:
                 if travel.joint.type == "prismatic":
-                    reach += max(map(abs, travel.positions))
+                    reach += max(abs(travel.lower), abs(travel.upper))
                 else:
                     reach += 2.0 * max(travel.distances(body)[1] - body.reach, 0.0)
             yield _Part(links[name], body, travels, reach)
@@ -149,9 +149,7 @@ def _parts(robot: Robot) -> Iterator[_Part]:
 def _travel(joint: Joint, pose: Pose) -> _Travel:
     lower = -math.pi if joint.lower is None else joint.lower
     upper = math.pi if joint.upper is None else joint.upper
-    steps = 1 if joint.type == "prismatic" else max(math.ceil((upper - lower) / ANGLE_STEP), 1)
-    positions = tuple(lower + (upper - lower) * k / steps for k in range(steps + 1))
-    return _Travel(joint, pose.rotate(joint.axis), pose.xyz, positions)
+    return _Travel(joint, pose.rotate(joint.axis), pose.xyz, lower, upper)
 
 
 # -- modules inside each other ---------------------------------------------------------------
@@ -237,7 +235,7 @@ def _meeting(first: _Part, second: _Part, are_tyres: bool) -> _Meeting | None:
         for travel in moved.travels:
             if travel in other.travels or not _may_meet(travel, moved.body, other.body):
                 continue
-            for position in travel.between(moved.body, other.body):
+            for position in travel.positions(moved.body, other.body):
                 bodies = moved.body.moved(travel.motion(position)), other.body
                 a, b = bodies if moved is first else bodies[::-1]
                 overlap = overlap_of(a, b, TOLERANCE)
@@ -250,7 +248,7 @@ def _may_meet(travel: _Travel, moved: ConvexBody, other: ConvexBody) -> bool:
     """Returns whether a body may meet another one on its way, which is around or along an axis."""
     low, high = moved.extent(travel.axis)
     if travel.joint.type == "prismatic":
-        low, high = low + min(travel.positions), high + max(travel.positions)
+        low, high = low + min(travel.lower, 0.0), high + max(travel.upper, 0.0)
     else:
         near, far = travel.distances(moved)
         nearest, furthest = travel.distances(other)
@@ -355,9 +353,11 @@ def _visible_bodies(robot: Robot, links: Iterable[str]) -> Iterator[ConvexBody]:
     for name in links:
         for shape, place, data in solids.get(name, ()):
             if isinstance(shape, MeshShape):
-                lower, upper = mesh_box(shape, data)
-                shape = Box(sub(upper, lower))
-                place = place * Pose(scale(0.5, add(lower, upper)))
+                bounds = bounds_of(shape, Pose(), data)
+                if bounds is None:
+                    continue
+                lower, upper = bounds
+                shape, place = Box(sub(upper, lower)), place * Pose(scale(0.5, add(lower, upper)))
             yield ConvexBody(shape, pose[name] * place)
 
 

@@ -60,14 +60,14 @@ def test_a_plausible_extra_has_no_warning(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "code", "line"),
     [
-        ('ixx="0.02" iyy="0.02" izz="0.03"', 'ixx="9" iyy="9" izz="9"', "audit-inertia-size", 5),
+        ('ixx="0.02" iyy="0.02" izz="0.03"', 'ixx="9" iyy="9" izz="9"', "inertia-too-large", 5),
         ('izz="0.03"', 'izz="0.05"', "extra-inertia", 5),
-        ('mass value="2"', 'mass value="400"', "audit-density", 15),
-        ('mass value="2"', 'mass value="2e-4"', "audit-inertia-size", 16),
+        ('mass value="2"', 'mass value="400"', "density-implausible", 15),
+        ('mass value="2"', 'mass value="2e-4"', "inertia-too-large", 16),
         ('ixx="1e-3" iyy="1e-3" izz="1e-3"', 'ixx="0" iyy="0" izz="0"', "extra-inertia", 16),
         ('mass value="2"', 'mass value="-2"', "extra-inertia", 15),
-        ('lower="-3" upper="3"', 'lower="-3" upper="170"', "audit-angle-unit", 11),
-        ('size="0.2 0.3 0.1"', 'size="200 300 100"', "audit-length-unit", 7),
+        ('lower="-3" upper="3"', 'lower="-3" upper="170"', "angle-unit", 11),
+        ('size="0.2 0.3 0.1"', 'size="200 300 100"', "length-unit", 7),
     ],
 )
 def test_an_implausible_extra(tmp_path: Path, old: str, new: str, code: str, line: int) -> None:

@@ -14,6 +14,8 @@ from thorvaldc.model import Robot
 from thorvaldc.model.facts.stability import stability_of, wheel_loads_of
 from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.model.statics.ground_contacts import with_ground_contacts
+from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.simulation_run import Simulation
 
 CART = """thorvaldc: 1
 name: cart
@@ -120,6 +122,13 @@ def test_a_trailer_on_a_ball_hitch_does_not_hold_the_base(tmp_path: Path) -> Non
         joint = hitch.format(kind="revolute", axis=axis)
         robot = robot_with(tmp_path, TRAILER.replace('"tail">', f'"tail">{joint}', 1), four=True)
         assert [w.name for w in with_ground_contacts(robot).wheels][4:] == expected
+
+
+@pytest.mark.parametrize("tail", [SKID, TRAILER], ids=["skid", "trailer"])
+def test_what_stands_on_the_ground_does_not_collide_with_it(tail: str, tmp_path: Path) -> None:
+    (run,) = Simulation(robot_with(tmp_path, tail)).run(2.0, Twist(0.3, 0.0, 0.0)).robots
+    assert run.path_true > 0.3
+    assert run.collisions == 0
 
 
 def test_the_facts_count_them(tmp_path: Path) -> None:

@@ -205,7 +205,7 @@ def test_uneven_ground_moves_the_loads_of_springs() -> None:
     assert load_ranges(three) == tuple((wheel.load, wheel.load) for wheel in three.wheels)
     table = next(table for table in fact_tables(robot_facts(robot)) if table.key == "wheels")
     assert "range [N]" in table.columns
-    assert any("8 mm higher or lower" in note for note in table.notes)
+    assert any("on springs is that of ground uneven by 8 mm" in note for note in table.notes)
 
 
 def test_a_rigid_frame_on_four_wheels_has_a_range_of_loads(shop: Workshop) -> None:

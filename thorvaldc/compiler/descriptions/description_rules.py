@@ -96,7 +96,7 @@ def check_inertia(description: Description, link: Link, report: Report) -> None:
     if reach is not None and high > body.mass * reach * reach:
         description.report(
             report,
-            "audit-inertia-size",
+            "inertia-too-large",
             f"link `{link.name}` has a moment of inertia of {high:.4g} kg m^2, but its"
             f" {body.mass:g} kg within {plain(reach, 3)} m can have at most"
             f" {body.mass * reach * reach:.4g} kg m^2",
@@ -136,7 +136,7 @@ def check_density(description: Description, link: Link, report: Report) -> None:
         compared = "denser than any metal" if density > MAX_DENSITY else "lighter than air"
         description.report(
             report,
-            "audit-density",
+            "density-implausible",
             f"link `{link.name}` has {body.mass:g} kg in {volume:.3g} m^3, which is {density:.3g}"
             f" kg/m^3: {compared}",
             link,
@@ -160,7 +160,7 @@ def check_lengths(description: Description, link: Link, report: Report) -> None:
         size = measures(shape)
         if size is not None and size.length > MAX_LENGTH:
             report.add(
-                "audit-length-unit",
+                "length-unit",
                 f"a {type(shape).__name__.lower()} of link `{link.name}` measures"
                 f" {plain(size.length, 3)} m",
                 span,
@@ -215,7 +215,7 @@ def check_angles(description: Description, joint: Joint, report: Report) -> None
         if limit is not None and MAX_ANGLE < abs(limit) <= NO_LIMIT:
             description.report(
                 report,
-                "audit-angle-unit",
+                "angle-unit",
                 f"the {name} limit of joint `{joint.name}` is {limit:g} rad, which is"
                 f" {abs(limit) / (2 * math.pi):.3g} turns",
                 joint,

@@ -197,8 +197,8 @@ def _wheels(wheels: tuple[WheelLoad, ...], soil: SoilLoad | None) -> FactTable:
     if undetermined:
         loads = (
             "`load` is that on a plane, with equal tyres. The balance of forces allows all loads of"
-            " the range: a pebble under a wheel is enough to shift them within it. On springs, it"
-            f" is that of ground up to {1000.0 * UNEVEN:.0f} mm higher or lower under each wheel."
+            " the range: a pebble under a wheel is enough to shift them within it. The range of a"
+            f" robot on springs is that of ground uneven by {1000.0 * UNEVEN:.0f} mm."
         )
     elif any(wheel.load_range is None for wheel in wheels):
         loads = (

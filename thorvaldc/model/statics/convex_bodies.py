@@ -22,11 +22,12 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from thorvaldc.model import Box, Cylinder, MeshShape, Pose, Shape, Vec3
-from thorvaldc.model.spatial import add, cross, dot, norm, quat_to_matrix, scale, sub
+from thorvaldc.model.spatial import Quat, add, cross, dot, norm, quat_to_matrix, scale, sub
 from thorvaldc.model.stl import mesh_vertices
 
 _ITERATIONS = 60
 _SAME = 1e-9  # m
+_AXES: tuple[Vec3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class Overlap(NamedTuple):
@@ -70,7 +71,7 @@ class ConvexBody:
                 self.half = radius, length / 2
                 self.reach = math.hypot(*self.half)
             case MeshShape(name, factors):
-                self.points = tuple(map(pose.apply, outer_vertices(name, data, factors)))
+                self.points = tuple(map(pose.apply, _outer_vertices(name, data, factors)))
                 self.reach = max((norm(sub(p, pose.xyz)) for p in self.points), default=0.0)
             case _:
                 self.axes = ()
@@ -121,7 +122,7 @@ class ConvexBody:
 
 
 @functools.lru_cache(maxsize=256)
-def outer_vertices(name: str, data: bytes, factors: Vec3) -> tuple[Vec3, ...]:
+def _outer_vertices(name: str, data: bytes, factors: Vec3) -> tuple[Vec3, ...]:
     """Return the vertices of a mesh that are furthest in directions all around, in its frame."""
     sx, sy, sz = factors
     vertices = [(x * sx, y * sy, z * sz) for x, y, z in mesh_vertices(name, data)]
@@ -132,16 +133,36 @@ def outer_vertices(name: str, data: bytes, factors: Vec3) -> tuple[Vec3, ...]:
     return tuple(dict.fromkeys(max(vertices, key=lambda v: dot(v, d)) for d in directions))
 
 
+def bounds_of(shape: Shape, pose: Pose, data: bytes) -> tuple[Vec3, Vec3] | None:
+    """Return the lower and the upper corner in m of the box around a shape, along the axes of the
+    frame of ``pose``, or ``None`` for a mesh without bytes.
+
+    ``data``: bytes of the mesh file of a mesh.
+    """
+    if isinstance(shape, MeshShape):
+        # Equal orientations of equal modules differ by rounding, and by the sign of a zero.
+        w, x, y, z = (round(value, 12) + 0.0 for value in pose.quat)
+        box = _mesh_bounds(shape, data, (w, x, y, z))
+        return None if box is None else (add(pose.xyz, box[0]), add(pose.xyz, box[1]))
+    body = ConvexBody(shape, pose)
+    (a, b), (c, d), (e, f) = map(body.extent, _AXES)
+    return (a, c, e), (b, d, f)
+
+
 @functools.lru_cache(maxsize=256)
-def mesh_box(shape: MeshShape, data: bytes) -> tuple[Vec3, Vec3]:
-    """Return the lower and the upper corner of the box around a mesh, in its frame."""
-    columns = zip(*(mesh_vertices(shape.mesh, data) or [(0.0, 0.0, 0.0)]), strict=True)
-    ends = [
-        sorted((factor * min(values), factor * max(values)))
-        for factor, values in zip(shape.scale, columns, strict=True)
-    ]
-    (x, a), (y, b), (z, c) = ends
-    return (x, y, z), (a, b, c)
+def _mesh_bounds(shape: MeshShape, data: bytes, quat: Quat) -> tuple[Vec3, Vec3] | None:
+    """The designs of a study have the same meshes."""
+    vertices = mesh_vertices(shape.mesh, data)
+    if not vertices:
+        return None
+    sx, sy, sz = shape.scale
+    lower, upper = [], []
+    for a, b, c in quat_to_matrix(quat):
+        a, b, c = a * sx, b * sy, c * sz
+        values = [a * vx + b * vy + c * vz for vx, vy, vz in vertices]
+        lower.append(min(values))
+        upper.append(max(values))
+    return (lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])
 
 
 def overlap_along(first: ConvexBody, second: ConvexBody, direction: Vec3) -> float:

@@ -15,7 +15,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from thorvaldc.model import Link, Mesh, Robot, Wheel
+from thorvaldc.model import Link, Mesh, Robot, Vec3, Wheel
 from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.convex_bodies import ConvexBody
@@ -35,19 +35,17 @@ _TILT = 1e-4
 def ground_contacts(
     tree: JointTree, wheels: Sequence[Wheel], meshes: Sequence[Mesh]
 ) -> tuple[Wheel, ...]:
-    """Return a wheel for each part on the ground, in the order of the links.
+    """Return a wheel for each part on the ground that holds the base, in the order of the links.
 
     ``wheels``: those of the base, whose links are left out.
     """
-    rolling = {wheel.link for wheel in wheels}
-    data = {mesh.name: mesh.data for mesh in meshes}
     return tuple(
         replace(
             wheels[0],
-            name=link.name,
-            module=link.module,
-            link=link.name,
-            spin_joint=tree.parent_joint[link.name].name,
+            name=name,
+            module=tree.links[name].module,
+            link=name,
+            spin_joint=tree.parent_joint[name].name,
             steering_joint=None,
             swivel_joint=None,
             suspension_joint=None,
@@ -60,38 +58,52 @@ def ground_contacts(
             radii=(),
             load=0.0,
             contact_height=0.0,
-            span=link.span,
+            span=tree.links[name].span,
             treads=(),
             rolling_resistance=wheels[0].rolling_resistance
-            if tree.parent_joint[link.name].type == "continuous"
+            if tree.parent_joint[name].type == "continuous"
             else wheels[0].friction,  # it slides
         )
-        for link in tree.links.values()
-        if wheels and link.name not in rolling and _holds(link.name, tree)
-        for point in _contacts(link, tree, data)
+        for name, points in standing_links(tree, wheels, meshes).items()
+        if _holds(name, tree)
+        for point in points
     )
+
+
+def standing_links(
+    tree: JointTree, wheels: Sequence[Wheel], meshes: Sequence[Mesh]
+) -> dict[str, list[Vec3]]:
+    """Return the links that stand on the ground beside the wheels, with their contact points.
+
+    A contact point has its x and y, and as z the height of the body above it, in m.
+    """
+    if not wheels:
+        return {}
+    rolling = {wheel.link for wheel in wheels}
+    data = {mesh.name: mesh.data for mesh in meshes}
+    standing = {
+        name: list(_contacts(tree.links[name], tree, data))
+        for name in tree.order[1:]
+        if name not in rolling
+    }
+    return {name: points for name, points in standing.items() if points}
 
 
 def _holds(link: str, tree: JointTree) -> bool:
     """Returns whether all joints above a link, without that about which it rolls, are stiff."""
-    above = tree.joints_above(link) if link in tree.pose else []
-    moving = [joint for joint in above if joint.type != "fixed"]
+    moving = [joint for joint in tree.joints_above(link) if joint.type != "fixed"]
     if moving and moving[0].type == "continuous":
         del moving[0]
-    return bool(above) and all(
+    return all(
         joint.type != "prismatic" and abs(tree.pose[joint.child].rotate(joint.axis)[2]) > _VERTICAL
         for joint in moving
     )
 
 
-def _contacts(
-    link: Link, tree: JointTree, data: dict[str, bytes]
-) -> Iterator[tuple[float, float, float]]:
-    """Yield x and y of each contact point of a link and the height of the body above it, in m."""
-    pose = tree.pose.get(link.name)
-    for collision in link.collisions if pose is not None else ():
+def _contacts(link: Link, tree: JointTree, data: dict[str, bytes]) -> Iterator[Vec3]:
+    for collision in link.collisions:
         mesh = data.get(getattr(collision.shape, "mesh", ""), b"")
-        body = ConvexBody(collision.shape, pose * collision.pose, mesh)  # type: ignore[operator]
+        body = ConvexBody(collision.shape, tree.pose[link.name] * collision.pose, mesh)
         height = body.center[2]
         if height - body.reach > ON_GROUND:
             continue

@@ -14,6 +14,8 @@ from typing import Any, Final
 
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
+from thorvaldc.model.statics.ground_contacts import standing_links
+from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.runtime.mypyc_marks import mypyc_attr
 from thorvaldc.simulation.physics import fleet_reader
 
@@ -268,7 +270,8 @@ class CollisionCounter:
     """Counts the collisions of each robot.
 
     ``collisions`` maps each robot name to the number of collisions.  A wheel may touch the ground,
-    rails and kerbs.  Every other contact of a robot counts as a collision.  For example, a contact
+    rails and kerbs, and so may other parts that stand on the ground, such as the wheels of a
+    trailer.  Every other contact of a robot counts as a collision.  For example, a contact
     of the chassis with the ground is a collision.  A contact that lasts for several simulation
     steps counts as one collision.
     """
@@ -281,6 +284,7 @@ class CollisionCounter:
         self.collisions = dict.fromkeys(robots, 0)
         owners: dict[int, str] = {}
         wheel_bodies: set[int] = set()
+        standing_geoms: tuple[str, ...] = ()
         for name, robot in robots.items():
             prefix = robot.prefix
             owners[scene.index("body", prefix + robot.links[0].name, robot)] = name
@@ -288,16 +292,18 @@ class CollisionCounter:
             # wheel link into another body.
             joints = (scene.index("joint", prefix + w.spin_joint, robot) for w in robot.wheels)
             wheel_bodies |= {int(model.jnt_bodyid[joint]) for joint in joints}
+            links = standing_links(tree_of(robot), robot.wheels, robot.meshes)
+            standing_geoms += tuple(f"{prefix}{link}_collision_" for link in links)
         # Lists with one item for each geom of the MuJoCo scene.  ``_owner`` is the name of the
         # robot with the geom, or an empty text for a geom of the world.
         self._owner: list[str] = []
-        self._is_wheel: list[bool] = []
+        self._may_roll: list[bool] = []
         self._is_drivable: list[bool] = []
         for geom in range(model.ngeom):
             body = int(model.geom_bodyid[geom])
             name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, geom) or ""
             self._owner.append(owners.get(int(model.body_rootid[body]), ""))
-            self._is_wheel.append(body in wheel_bodies)
+            self._may_roll.append(body in wheel_bodies or name.startswith(standing_geoms))
             self._is_drivable.append(body == 0 and name.split("/")[0] in DRIVABLE)
         self._pairs: list[list[int]] = []
         self._contacts: frozenset[tuple[int, int]] = frozenset()
@@ -316,8 +322,8 @@ class CollisionCounter:
             (a, b)
             for a, b in pairs
             if not (
-                (self._is_wheel[a] and self._is_drivable[b])
-                or (self._is_wheel[b] and self._is_drivable[a])
+                (self._may_roll[a] and self._is_drivable[b])
+                or (self._may_roll[b] and self._is_drivable[a])
             )
         )
         for a, b in contacts - self._contacts:

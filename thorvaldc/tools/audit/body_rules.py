@@ -70,7 +70,7 @@ def check_meshes(evidence: facts.Evidence, report: Report) -> None:
             hint = "is it in m already, so that the scale 0.001 is too much?"
         if hint:
             report.add(
-                "audit-length-unit",
+                "length-unit",
                 f"the mesh `{mesh.name}` of link `{mesh.link}` measures {plain(largest, 3)} m",
                 mesh.span,
                 hint=hint,
