@@ -25,6 +25,7 @@ from thorvaldc.diagnostics import Proposal
         ("5 μm", "length", 5e-6),
         ("1 in", "length", 0.0254),
         ('10"', "length", 0.254),
+        ("32''", "length", 0.8128),
         ("2 ft", "length", 0.6096),
         ("1.2", "length", 1.2),
         ("−5 cm", "length", -0.05),
