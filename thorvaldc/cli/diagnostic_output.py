@@ -67,9 +67,12 @@ class DiagnosticOutput:
         if self.format == "text":
             print(line)
 
-    def finish(self, strict: bool = False, builds: list[dict[str, Any]] | None = None) -> int:
+    def finish(self, strict: bool = False, **results: list[dict[str, Any]]) -> int:
         """Prints the number of errors or the machine-readable document, and returns the exit status
-        of the command."""
+        of the command.
+
+        ``results``: lists that the document in JSON contains too.
+        """
         errors, warnings = len(self._all.errors), len(self._all.warnings)
         outside = [diagnostic for diagnostic in self._all.errors if diagnostic.code.outside]
         if self.format == "text" and len(outside) < len(self._all):
@@ -83,7 +86,7 @@ class DiagnosticOutput:
         elif self.format != "text":
             from thorvaldc.diagnostics.renderers import render
 
-            text = render(self._all, self.format, self._sources, builds=builds)
+            text = render(self._all, self.format, self._sources, **results)
             if text:
                 print(text)
         if errors and len(outside) == errors:

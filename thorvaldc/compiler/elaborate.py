@@ -153,7 +153,7 @@ class _Elaborator(NamedTuple):
             actuators = self.calibration.with_steering_offsets(actuators, wheels, self.report)
         stopped = {*driven, *(servo.joint for servo in parts.joint_servos)}
         # Other parts on the ground carry their share, of which the model keeps none.
-        contacts = ground_contacts(JointTree(links, parts.joints), wheels, parts.meshes)
+        contacts = ground_contacts(JointTree(links, parts.joints), wheels, parts.meshes, stopped)
         joints, loads = spring_loads(tree, list(parts.joints), [*wheels, *contacts], stopped)
         parts = replace(
             parts,

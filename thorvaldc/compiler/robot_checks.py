@@ -125,7 +125,7 @@ def _is_upside_down(wheel: Wheel, robot: Robot) -> bool:
 def check_stability(robot: Robot, design: DesignRequirements, report: Report) -> None:
     """Checks the smallest tip-over angle of the robot, see ``model.statics.tip_over``."""
     support = support_of(robot)
-    x, y, z = robot.inertial.com
+    x, y, z = support.com
     if not support.edges:
         report.add(
             "unstable",

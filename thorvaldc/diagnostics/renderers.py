@@ -38,18 +38,16 @@ def render(
     report: Report,
     format: str,
     sources: Mapping[str, Path] | None = None,
-    *,
-    builds: Sequence[Mapping[str, Any]] | None = None,
+    **results: Sequence[Mapping[str, Any]],
 ) -> str:
     """Returns a report of diagnostics as text without colours.
 
     - ``format``: output format, one of ``FORMATS``.
     - ``sources``: path of each file name in the source spans.
-    - ``builds``: description of each build result.  Only the JSON output contains the descriptions
-      of the build results.
+    - ``results``: lists of what the command made.  Only the JSON output contains them.
     """
     if format == "json":
-        return render_json(report, builds=builds)
+        return render_json(report, **results)
     if format == "github":
         return render_github(report)
     if format == "badge":
@@ -193,14 +191,13 @@ def _text(diagnostic: Diagnostic, excerpts: Excerpts, paint: Any) -> str:
 # -- json -------------------------------------------------------------------------------
 
 
-def render_json(report: Report, *, builds: Sequence[Mapping[str, Any]] | None = None) -> str:
+def render_json(report: Report, **results: Sequence[Mapping[str, Any]]) -> str:
     """Returns a report of diagnostics as a JSON object.
 
     The JSON keys ``errors`` and ``warnings`` contain the numbers of errors and warnings.  The JSON
     key ``diagnostics`` contains the list of the diagnostics in the order of file, line and column.
     The JSON key ``accepted`` contains the accepted warnings, which are not in the other list.
-    If ``builds`` is not ``None``, the JSON object also contains the descriptions of the build
-    results.
+    The JSON object also contains the lists ``results`` under their names.
     """
     document: dict[str, Any] = {
         "errors": len(report.errors),
@@ -210,9 +207,8 @@ def render_json(report: Report, *, builds: Sequence[Mapping[str, Any]] | None = 
             _json(diagnostic) | {"reason": reason, "accepted_at": _json_span(span)}
             for diagnostic, reason, span in report.accepted
         ],
+        **results,
     }
-    if builds is not None:
-        document["builds"] = list(builds)
     return json_text(document)
 
 

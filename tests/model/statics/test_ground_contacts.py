@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -75,12 +77,16 @@ def robot_with(folder: Path, tail: str, *, four: bool = False) -> Robot:
     return model
 
 
-def loads_in_mujoco(robot: Robot, folder: Path) -> dict[str, float]:
-    """Returns the vertical force (N) on each link that touches the ground after 3 s."""
+def mujoco_model(robot: Robot, folder: Path) -> mujoco.MjModel:
     for path, content in emit(robot, ["mjcf"]).items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_bytes(content)
-    model = mujoco.MjModel.from_xml_path(str(folder / "mjcf/scene.xml"))
+    return mujoco.MjModel.from_xml_path(str(folder / "mjcf/scene.xml"))
+
+
+def loads_in_mujoco(robot: Robot, folder: Path) -> dict[str, float]:
+    """Returns the vertical force (N) on each link that touches the ground after 3 s."""
+    model = mujoco_model(robot, folder)
     state = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, state, 0)
     for _ in range(round(3.0 / model.opt.timestep)):
@@ -111,17 +117,104 @@ def test_three_supports_carry_what_they_carry_in_mujoco(
     assert sum(computed.values()) == pytest.approx(robot.inertial.mass * GRAVITY, rel=1e-6)
 
 
-def test_a_trailer_on_a_ball_hitch_does_not_hold_the_base(tmp_path: Path) -> None:
-    """With a joint that gives way, its wheels hold the trailer alone; a turning one carries."""
-    hitch = """<link name="hitch"/>
-  <joint name="turn" type="{kind}">
-    <parent link="hitch"/><child link="bed"/><axis xyz="{axis}"/>
-    <limit lower="-1" upper="1" effort="0" velocity="9"/>
+HINGES = {"yaw": "0 0 1", "pitch": "0 1 0", "roll": "1 0 0"}
+ONE = [0.0]
+"""Places (m, along y) of the wheels of a trailer."""
+TWO = [0.3, -0.3]
+
+
+def trailer_on(names: Sequence[str], wheels: Sequence[float], mass: float, com: float) -> str:
+    """Returns a trailer behind these hinges, with the axle 1 m behind and 0.1 m below them."""
+    links = ["hitch", *(f"behind_{name}" for name in names[:-1]), "bed"]
+    text = '<robot name="tail"><link name="hitch"/>'
+    for name, parent, child in zip(names, links, links[1:], strict=False):
+        body = inertial(com, 0.1, mass, 5) if child == "bed" else inertial(0, 0, 0.5, 0.01)
+        height = 0.3 if parent == "hitch" else 0.0
+        text += f'''<link name="{child}">{body}</link>
+  <joint name="{name}" type="revolute">
+    <parent link="{parent}"/><child link="{child}"/><origin xyz="0 0 {height}"/>
+    <axis xyz="{HINGES[name]}"/><limit lower="-1" upper="1" effort="0" velocity="9"/>
+  </joint>'''
+    tyre = solid('cylinder radius="0.2" length="0.1"', 'rpy="1.5708 0 0"')
+    for k, y in enumerate(wheels):
+        text += f"""<link name="wheel_{k}">{inertial(0, 0, 3, 0.05)}{tyre}</link>
+  <joint name="axle_{k}" type="continuous">
+    <parent link="bed"/><child link="wheel_{k}"/><origin xyz="-1 {y} -0.1"/><axis xyz="0 1 0"/>
   </joint>"""
-    for axis, expected in (("0 0 1", ["roll"]), ("0 1 0", []), ("1 0 0", [])):
-        joint = hitch.format(kind="revolute", axis=axis)
-        robot = robot_with(tmp_path, TRAILER.replace('"tail">', f'"tail">{joint}', 1), four=True)
-        assert [w.name for w in with_ground_contacts(robot).wheels][4:] == expected
+    return text + "</robot>"
+
+
+BALL = trailer_on(["yaw", "pitch", "roll"], TWO, 30.0, -0.7)
+
+
+@pytest.mark.parametrize(
+    "tail",
+    [
+        trailer_on(["pitch"], ONE, 30.0, -0.7),
+        trailer_on(["yaw", "pitch"], ONE, 30.0, -0.7),
+        BALL,
+        trailer_on(["yaw", "pitch", "roll"], TWO, 100.0, -0.9),
+    ],
+    ids=["pitch", "yaw and pitch", "ball", "heavy, ball"],
+)
+def test_a_trailer_behind_a_hinge_carries_itself(tail: str, tmp_path: Path) -> None:
+    """Its load on the hinge is a part of those of the base; the heaviest is no part of the base,
+    whose own centre of mass lies between its wheels."""
+    robot = robot_with(tmp_path, tail, four=True)
+    measured = loads_in_mujoco(robot, tmp_path)
+    computed = {w.link: w.load for w in with_ground_contacts(robot).wheels}
+    assert computed.keys() == measured.keys()
+    for name, load in computed.items():
+        assert load == pytest.approx(measured[name], rel=0.02), (name, measured)
+    assert stability_of(robot).stands
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("direction", ["left", "front", "rear"])
+def test_the_base_of_a_trailer_tips_over_where_it_does_in_mujoco(
+    direction: str, tmp_path: Path
+) -> None:
+    """The wheels are locked; the ground falls by a degree more each third of a second."""
+    robot = robot_with(tmp_path, BALL, four=True)
+    computed = math.degrees(dict(stability_of(robot).angles)[direction])
+    model = mujoco_model(robot, tmp_path)
+    model.geom_friction[:, 0] = 3.0
+    for joint in map(model.joint, range(model.njnt)):
+        if joint.name.endswith(("axle", "swivel")):
+            model.dof_damping[joint.dofadr] = 1e4
+    state = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, state, 0)
+    mujoco.mj_forward(model, state)
+    x, y = {"left": (0.0, 1.0), "front": (1.0, 0.0), "rear": (-1.0, 0.0)}[direction]
+    angle = 0.0
+    while state.body("base_link").xmat[8] > math.cos(math.radians(6.0)) and angle < 70.0:
+        angle += 3.0 * model.opt.timestep
+        pull = GRAVITY * math.sin(math.radians(angle))
+        model.opt.gravity[:] = x * pull, y * pull, -GRAVITY * math.cos(math.radians(angle))
+        mujoco.mj_step(model, state)
+    assert computed < angle < computed + 5.0
+
+
+def test_a_pendulum_axle_holds_the_base(tmp_path: Path) -> None:
+    """Its wheels share their load, and hold the base below the axis, and not beside it."""
+    robot = robot_with(tmp_path, trailer_on(["roll"], TWO, 3.0, -1.0))
+    left, right = (w.load for w in with_ground_contacts(robot).wheels[2:])
+    assert left == pytest.approx(right, rel=0.01)
+    stiff = robot_with(tmp_path, trailer_on(["yaw"], TWO, 3.0, -1.0))
+    pendulum, rigid = (dict(stability_of(r).angles) for r in (robot, stiff))
+    assert 0.3 < pendulum["left"] < rigid["left"] - 0.1
+    assert pendulum["front"] == pytest.approx(rigid["front"], rel=0.01)
+
+
+def test_a_trailer_that_its_hinges_let_fall_is_left_out(tmp_path: Path) -> None:
+    """Two hinges in a row before one wheel: nothing holds the link between them."""
+    tail = trailer_on(["pitch"], ONE, 30.0, -0.7)
+    second = """<link name="drawbar"/><joint name="second" type="revolute">
+    <parent link="drawbar"/><child link="hitch"/><origin xyz="-0.5 0 0.1"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="0" velocity="9"/></joint><link name="hitch">"""
+    tail = tail.replace('<link name="hitch"/>', f"{second}{inertial(0, 0, 1, 0.01)}</link>")
+    robot = robot_with(tmp_path, tail.replace("0 0 0.3", "0 0 0.2"), four=True)
+    assert len(with_ground_contacts(robot).wheels) == 4
 
 
 @pytest.mark.parametrize("tail", [SKID, TRAILER], ids=["skid", "trailer"])

@@ -146,6 +146,7 @@ def test_exit_status_and_formats(thorvaldc: Command, cart: Path) -> None:
     assert thorvaldc("audit", "cart").status == 0
     assert thorvaldc("audit", "cart", "--strict").status == 1
     output = thorvaldc("audit", "cart", "--format", "json")
+    assert thorvaldc("audit", "cart", "--json").out == output.out
     (diagnostic,) = json.loads(output.out)["diagnostics"]
     assert diagnostic["code"] == "TV943"
     assert "drives 9.1 % less far than its odometry says" in diagnostic["message"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -303,6 +304,19 @@ def test_a_dry_run_shows_the_difference(thorvaldc: Command, beam: Path) -> None:
     beam.write_text(PRESENT_BEAM, encoding="utf-8")
     result = thorvaldc("upgrade", "--dry-run", str(beam))
     assert (result.status, result.out) == (0, "")
+
+
+def test_the_result_as_json(thorvaldc: Command, beam: Path) -> None:
+    output = json.loads(thorvaldc("upgrade", "--dry-run", "--json", str(beam)).out)
+    (upgraded,) = output["upgrades"]
+    assert upgraded["file"] == str(beam)
+    assert upgraded["changes"] == {"dimensions": 3}
+    assert upgraded["difference"].startswith(f"--- {beam}\n+++ {beam}\n@@")
+    Path("robot.yaml").write_text(GOOD, encoding="utf-8")
+    output = json.loads(thorvaldc("upgrade", "--json", str(beam), "robot.yaml").out)
+    assert [upgraded["difference"] for upgraded in output["upgrades"]] == ["", ""]
+    assert {d["code"] for d in output["diagnostics"]} == {"TV976"}
+    assert beam.read_text(encoding="utf-8") == PRESENT_BEAM
 
 
 def test_a_dry_run_is_a_patch(

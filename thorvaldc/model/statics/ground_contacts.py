@@ -4,42 +4,48 @@ They carry a part of the weight. For the statics, each is a wheel without a moto
 point is the middle of the surface with which it stands on the ground. The base calculator, the
 driver and the targets do not know these wheels.
 
-Parts behind a joint that gives way, such as the pitch of a drawbar or a limp slide, do not hold the
-base, so they are left out. A joint with a vertical axis that turns carries vertical forces as a
-fixed one does.
+Wheels behind a hinge, such as the pitch of a drawbar, carry the trailer but do not hold the base
+(``held_body``). Parts behind a slide, and parts whose hinges let them fall, are left out.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
-from thorvaldc.model import Link, Mesh, Robot, Vec3, Wheel
+from thorvaldc.model import Joint, Link, Mesh, Robot, Vec3, Wheel
 from thorvaldc.model.result_cache import once_per_model
-from thorvaldc.model.spatial import clean
+from thorvaldc.model.spatial import GRAVITY, clean
 from thorvaldc.model.statics.convex_bodies import ConvexBody
-from thorvaldc.model.statics.joint_tree import JointTree, held_joints, tree_of
+from thorvaldc.model.statics.joint_tree import (
+    SHORTEST_LEVER,
+    JointTree,
+    held_joints,
+    hinges,
+    lever_of,
+    tree_of,
+)
 from thorvaldc.model.statics.standing import find_standing
 from thorvaldc.model.statics.static_loads import static_loads
 from thorvaldc.model.sums import float_sum
 
 ON_GROUND = 2e-3
 """Largest height (m) of a part that stands on the ground, as of the wheels of the base."""
-_VERTICAL = 0.99
-"""Least cosine of the angle between a joint axis and the vertical."""
 _TILT = 1e-4
 """Tilt of the four directions downwards, whose furthest points are around a flat surface."""
 
 
 def ground_contacts(
-    tree: JointTree, wheels: Sequence[Wheel], meshes: Sequence[Mesh]
+    tree: JointTree, wheels: Sequence[Wheel], meshes: Sequence[Mesh], stopped: Collection[str]
 ) -> tuple[Wheel, ...]:
-    """Return a wheel for each part on the ground that holds the base, in the order of the links.
+    """Return a wheel for each part that carries load, in the order of the links.
 
-    ``wheels``: those of the base, whose links are left out.
+    - ``wheels``: those of the base, whose links are left out.
+    - ``stopped``: names of the joints that motors and servos hold.
     """
-    return tuple(
+    contacts = tuple(
         replace(
             wheels[0],
             name=name,
@@ -65,9 +71,14 @@ def ground_contacts(
             else wheels[0].friction,  # it slides
         )
         for name, points in standing_links(tree, wheels, meshes).items()
-        if _holds(name, tree)
+        if all(joint.type != "prismatic" for joint in tree.joints_above(name))
         for point in points
     )
+    if any(hinges(tree, contact.link, stopped) for contact in contacts):
+        standing = find_standing(tree, [*wheels, *contacts], stopped, sprung=True)
+        if standing is not None and not standing.stands:
+            return tuple(c for c in contacts if not hinges(tree, c.link, stopped))
+    return contacts
 
 
 def standing_links(
@@ -89,17 +100,6 @@ def standing_links(
     return {name: points for name, points in standing.items() if points}
 
 
-def _holds(link: str, tree: JointTree) -> bool:
-    """Returns whether all joints above a link, without that about which it rolls, are stiff."""
-    moving = [joint for joint in tree.joints_above(link) if joint.type != "fixed"]
-    if moving and moving[0].type == "continuous":
-        del moving[0]
-    return all(
-        joint.type != "prismatic" and abs(tree.pose[joint.child].rotate(joint.axis)[2]) > _VERTICAL
-        for joint in moving
-    )
-
-
 def _contacts(link: Link, tree: JointTree, data: dict[str, bytes]) -> Iterator[Vec3]:
     for collision in link.collisions:
         mesh = data.get(getattr(collision.shape, "mesh", ""), b"")
@@ -119,12 +119,12 @@ def _contacts(link: Link, tree: JointTree, data: dict[str, bytes]) -> Iterator[V
 
 @once_per_model
 def _with_contacts(robot: Robot) -> Robot | None:
-    tree = tree_of(robot)
-    contacts = ground_contacts(tree, robot.wheels, robot.meshes)
+    tree, stopped = tree_of(robot), held_joints(robot)
+    contacts = ground_contacts(tree, robot.wheels, robot.meshes, stopped)
     if not contacts:
         return None
     wheels = (*robot.wheels, *contacts)
-    standing = find_standing(tree, wheels, held_joints(robot), sprung=True)
+    standing = find_standing(tree, wheels, stopped, sprung=True)
     points = [wheel.contact_point for wheel in wheels]
     loads = standing.loads if standing is not None else static_loads(points, robot.inertial)
     carried = zip(contacts, loads[len(robot.wheels) :], strict=True)
@@ -135,3 +135,76 @@ def with_ground_contacts(robot: Robot) -> Robot:
     """Return the robot with a wheel for each other part on the ground, after its own wheels, with
     the load that it carries."""
     return _with_contacts(robot) or robot
+
+
+class HeldBody(NamedTuple):
+    """What can tip over: the base with its share of the trailers.
+
+    - ``supports``: points (m, in ``base_link``) on which it stands: the contact points, and the
+      point below the axis of a pendulum axle.
+    - ``com``: the centre of mass (m, in ``base_link``) of what they carry. The load that the wheels
+      of a trailer do not carry acts at its hinge.
+    - ``along``: height (m) at which forces along x act. A trailer rolls freely, so that all of its
+      mass pushes and pulls at its hinge.
+    """
+
+    supports: tuple[tuple[float, float], ...]
+    com: Vec3
+    along: float
+
+
+@once_per_model
+def held_body(robot: Robot) -> HeldBody:
+    """Return what can tip over, with all joints at position 0."""
+    tree, stopped, body = tree_of(robot), held_joints(robot), robot.inertial
+    supports: list[tuple[float, float]] = []
+    trailing: dict[Wheel, Joint] = {}
+    hinged: dict[tuple[Joint, ...], list[Wheel]] = {}
+    for wheel in with_ground_contacts(robot).wheels:
+        hinged.setdefault(tuple(hinges(tree, wheel.link, stopped)), []).append(wheel)
+    for joints, wheels in hinged.items():
+        pivot = _pivot(tree, joints, wheels)
+        if not joints:
+            supports += [wheel.contact_point for wheel in wheels]
+        elif pivot is not None:
+            supports.append(pivot)
+        else:
+            trailing.update(dict.fromkeys(wheels, joints[-1]))
+    left = body.mass - float_sum(wheel.load for wheel in trailing) / GRAVITY
+    if not trailing or left <= 0.0:
+        return HeldBody(tuple(supports), body.com, body.com[2])
+    x, y = (
+        body.mass * body.com[k] - float_sum(w.load / GRAVITY * w.contact_point[k] for w in trailing)
+        for k in (0, 1)
+    )
+    heights = {
+        link: tree.pose[joint.child].xyz[2]
+        for joint in trailing.values()
+        for link in tree.links_below(joint.child)
+    }
+    along = float_sum(
+        link.inertial.mass * heights.get(name, tree.pose[name].apply(link.inertial.com)[2])
+        for name, link in tree.links.items()
+        if link.inertial is not None and name in tree.pose
+    )
+    across = along - float_sum(wheel.load / GRAVITY * heights[wheel.link] for wheel in trailing)
+    return HeldBody(tuple(supports), (x / left, y / left, across / left), along / left)
+
+
+def _pivot(
+    tree: JointTree, joints: Sequence[Joint], wheels: Sequence[Wheel]
+) -> tuple[float, float] | None:
+    """Returns the point below the axis of the only hinge at which one or two wheels carry the base;
+    ``None`` for the wheels of a trailer."""
+    if len(joints) != 1 or len(wheels) > 2:
+        return None
+    first, second = wheels[0], wheels[-1]
+    a, b = (lever_of(tree, joints[0], wheel) for wheel in (first, second))
+    if max(abs(a), abs(b)) <= SHORTEST_LEVER:
+        share = 0.5
+    elif a * b < 0.0:
+        share = a / (a - b)
+    else:
+        return None
+    (ax, ay), (bx, by) = first.contact_point, second.contact_point
+    return ax + share * (bx - ax), ay + share * (by - ay)

@@ -226,6 +226,10 @@ class RigidGroups:
 
 _ON_AXIS = 1e-4  # m
 _VERTICAL = 1e-6
+SHORTEST_LEVER = 0.05
+"""Lever (m) of a wheel about a hinge below which the hinge carries the wheel as a fixed joint."""
+_LEANING = 0.05
+"""Sine of the angle from the vertical from which an axis counts as that of a hinge."""
 OF_EXTRA = "extras."
 """Start of the module name of links and joints of extras, see ``compiler.extras``."""
 
@@ -312,13 +316,21 @@ def coordinates_of(
 
     The joints about which wheels spin, steer and swivel are left out, and joints whose motion
     neither lifts nor lowers anything. The joints of extras are left out because their own
-    controllers hold them. With ``sprung`` false, joints with springs are left out too.
+    controllers hold them, but for ``hinges``. With ``sprung`` false, joints with springs are left
+    out too.
 
     - ``stopped``: names of joints that something holds, such as motors.
     """
     immobile = {
         *stopped,
-        *(n for w in wheels for n in (w.spin_joint, w.steering_joint, w.swivel_joint) if n),
+        *(w.spin_joint for w in wheels if tree.joints[w.spin_joint].type == "continuous"),
+        *(n for w in wheels for n in (w.steering_joint, w.swivel_joint) if n),
+    }
+    free = {
+        joint.name
+        for wheel in wheels
+        for joint in hinges(tree, wheel.link, immobile)
+        if abs(lever_of(tree, joint, wheel)) > SHORTEST_LEVER
     }
     groups: dict[str, list[Member]] = {}
     stopped_groups = set()
@@ -333,7 +345,8 @@ def coordinates_of(
             groups[root.name].insert(0, member)
         else:
             groups[root.name].append(member)
-        if joint.name in immobile or joint.module.startswith(OF_EXTRA):
+        is_held = joint.module.startswith(OF_EXTRA) and joint.name not in free
+        if joint.name in immobile or is_held:
             stopped_groups.add(root.name)
     coordinates = []
     carried = {name for wheel in wheels for name in _joints_above(tree, wheel.link)}
@@ -347,6 +360,30 @@ def coordinates_of(
             continue
         coordinates.append(coordinate)
     return coordinates
+
+
+def hinges(tree: JointTree, link: str, stopped: Collection[str]) -> list[Joint]:
+    """Return the joints of extras above a link that turn about another axis than the vertical, such
+    as the pitch of a drawbar, from the link to the base.
+
+    Links that roll are left out.  ``stopped``: names of joints that something holds.
+    """
+    return [
+        joint
+        for k, joint in enumerate(tree.joints_above(link))
+        if joint.module.startswith(OF_EXTRA)
+        and joint.type in ("revolute", "continuous")
+        and not (k == 0 and joint.type == "continuous")
+        and joint.name not in stopped
+        and math.hypot(*tree.pose[joint.child].rotate(joint.axis)[:2]) > _LEANING
+    ]
+
+
+def lever_of(tree: JointTree, joint: Joint, wheel: Wheel) -> float:
+    """Return the moment (N m) about a joint of an upward force of 1 N on a wheel."""
+    pose, (x, y) = tree.pose[joint.child], wheel.contact_point
+    axis = pose.rotate(joint.axis)
+    return axis[0] * (y - pose.xyz[1]) - axis[1] * (x - pose.xyz[0])
 
 
 def _joints_above(tree: JointTree, link: str) -> list[str]:

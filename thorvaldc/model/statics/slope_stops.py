@@ -131,7 +131,7 @@ class SlopeStops:
         self._mass = robot.inertial.mass
         self._brakes = _brakes_of(robot)
         spin = float_sum(brake.spin for brake in self._brakes)
-        self._lever = 1.0 + spin / (self._mass * max(support.height, 1e-9))
+        self._lever = 1.0 + spin / (self._mass * max(support.com[2], 1e-9))
         self.stops = tuple(_stops_of(robot))
 
     def reserve(
@@ -235,7 +235,7 @@ def _lean(robot: Robot, support: Support, heading: float) -> float:
     places = [wheel.contact_point[0] * x + wheel.contact_point[1] * y for wheel in robot.wheels]
     middle = float_sum(k * s for k, s in zip(rates, places, strict=True)) / float_sum(rates)
     stiffness = float_sum(k * (s - middle) ** 2 for k, s in zip(rates, places, strict=True))
-    distance = support.height * math.tan(support.tip_over_angle(heading))
+    distance = support.com[2] * math.tan(support.tip_over_angle(heading))
     return robot.inertial.mass * GRAVITY * distance / stiffness if stiffness > 0.0 else 0.0
 
 

@@ -128,10 +128,12 @@ class _Body:
         self.owners = [owner[joint.name] for joint in self.groups.joints]
         self.wheels = []
         for wheel in wheels:
-            spin, pose = tree.joints[wheel.spin_joint], tree.pose[wheel.link]
-            axis = tree.pose[spin.child].rotate(spin.axis)
-            group = self.groups.group_of(wheel.link)
-            self.wheels.append(_Wheel(group, pose.xyz, axis, wheel.radius))
+            spin, group = tree.joints[wheel.spin_joint], self.groups.group_of(wheel.link)
+            if spin.type == "continuous":
+                axis = tree.pose[spin.child].rotate(spin.axis)
+                self.wheels.append(_Wheel(group, tree.pose[wheel.link].xyz, axis, wheel.radius))
+            else:  # a foot
+                self.wheels.append(_Wheel(group, (*wheel.contact_point, 0.0), (0.0, 1.0, 0.0), 0.0))
         self.paths = [self.groups.path_of(g) for g in range(len(self.groups.parent))]
         self.weight = self.groups.total_mass * spatial.GRAVITY
         self.limits = [coordinate.limits() for coordinate in coordinates]

@@ -1,12 +1,12 @@
 """The support polygon of a robot, and the angles at which it tips over.
 
-Tip-over angles. The robot is rigid, stands with its wheels on a plane, and does not slide. Its
-support polygon is the convex hull of the contact points. The edge e of the polygon has the outward
-normal n_e, and the centre of mass, at the height h above the plane, has the horizontal distance d_e
-from it, positive inside. The plane is tilted by the angle a, so that it falls in the horizontal
-direction u. In the frame of the plane, the weight W then has the component W cos(a) into the plane
-and W sin(a) along u. The wheels push only, so the robot tips over the edge e as soon as the moment
-about the edge is not positive:
+Tip-over angles. The robot is rigid but for the hinges of trailers, stands with its wheels on a
+plane, and does not slide. Its support polygon is the convex hull of the contact points. The edge e
+of the polygon has the outward normal n_e, and the centre of mass, at the height h above the plane,
+has the horizontal distance d_e from it, positive inside. The plane is tilted by the angle a, so
+that it falls in the horizontal direction u. In the frame of the plane, the weight W then has the
+component W cos(a) into the plane and W sin(a) along u. The wheels push only, so the robot tips over
+the edge e as soon as the moment about the edge is not positive:
 
     W cos(a) d_e - W sin(a) h (u . n_e) <= 0.
 
@@ -15,7 +15,9 @@ Tip-over angle in the direction u, over the first edge that the robot reaches:
     tan a(u) = min over edges with u . n_e > 0 of d_e / (h (u . n_e)).
 
 The least angle of all directions is in the direction of a normal, where u . n_e = 1:
-tan a_min = min d_e / h. The suspension, the tyres and loose loads lower the real angles.
+tan a_min = min d_e / h. A trailer acts at its hinge (``held_body``), where h is another one along x
+and along y; that it may tip over by itself is not judged. The suspension, the tyres and loose loads
+lower the real angles.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from typing import NamedTuple
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import Link, Robot, Vec3
 from thorvaldc.model.spatial import clean
-from thorvaldc.model.statics.ground_contacts import with_ground_contacts
+from thorvaldc.model.statics.ground_contacts import held_body
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.sums import float_sum
 
@@ -73,27 +75,29 @@ def separates(hull: Sequence[Point], other: Sequence[Point]) -> bool:
 
 _SHORTEST_EDGE = 1e-9  # m
 _LOWEST_HEIGHT = 1e-9  # m
+_LEAST_PULL = 1e-9  # m
 
 
 class Edge(NamedTuple):
     """An edge of the support polygon.
 
-    - ``normal``: outward direction in rad, from x to y.
     - ``margin``: distance of the centre of mass from the edge in m, negative outside.
+    - ``pull``: moments about the edge (m) of forces along x and y that equal the weight, outwards
+      positive.
     """
 
-    normal: float
     margin: float
+    pull: Point
 
 
 class Support(NamedTuple):
-    """The support polygon of a robot and the height of the centre of mass above the ground in m.
+    """The support polygon of a robot and the centre of mass in m that it holds.
 
     ``edges`` is empty for a robot whose contact points do not span an area.
     """
 
     edges: tuple[Edge, ...]
-    height: float
+    com: Vec3
 
     @property
     def margin(self) -> float:
@@ -110,40 +114,43 @@ class Support(NamedTuple):
         direction (rad, from x to y), 0 for a robot that does not stand."""
         if not self.stands:
             return 0.0
-        height = max(self.height, _LOWEST_HEIGHT)
         tangents = []
         for edge in self.edges:
-            slope = math.cos(direction - edge.normal)
-            if slope > 1e-9:
-                tangents.append(edge.margin / (height * slope))
-        return math.atan(min(tangents))
+            x, y = edge.pull
+            moment = x * math.cos(direction) + y * math.sin(direction)
+            if moment > _LEAST_PULL:
+                tangents.append(edge.margin / moment)
+        return math.atan(min(tangents, default=math.inf))
 
     def least_tip_over(self) -> tuple[float, float]:
         """Return the direction (rad, from x to y) of the smallest tip-over angle, and the angle in
         rad, 0 for a robot that does not stand. The direction is 0 without a polygon."""
+
+        def tangent(edge: Edge) -> float:
+            return clean(edge.margin / math.hypot(*edge.pull))
+
         if not self.edges:
             return 0.0, 0.0
         # Equal margins of a symmetric robot differ by rounding.
-        edge = min(self.edges, key=lambda edge: clean(edge.margin))
-        if edge.margin <= 0.0:
-            return edge.normal, 0.0
-        return edge.normal, math.atan2(edge.margin, max(self.height, _LOWEST_HEIGHT))
+        edge = min(self.edges, key=tangent)
+        x, y = edge.pull
+        return math.atan2(y, x), math.atan2(max(edge.margin, 0.0), math.hypot(x, y))
 
 
 def support_of(robot: Robot) -> Support:
     """Return the support polygon of a robot with all joints at position 0."""
-    x, y, z = robot.inertial.com
-    wheels = with_ground_contacts(robot).wheels
-    hull: Sequence[Point] = convex_hull([wheel.contact_point for wheel in wheels])
+    supports, (x, y, z), along = held_body(robot)
+    hull = convex_hull(supports)
     if len(hull) < 3:
-        return Support((), z)
+        return Support((), (x, y, z))
     edges = []
     for (ax, ay), (bx, by) in zip(hull, [*hull[1:], *hull[:1]], strict=True):
         length = math.hypot(bx - ax, by - ay)
         if length > _SHORTEST_EDGE:
-            margin = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / length
-            edges.append(Edge(math.atan2(ax - bx, by - ay), margin))
-    return Support(tuple(edges), z)
+            tx, ty = (bx - ax) / length, (by - ay) / length
+            pull = ty * max(along, _LOWEST_HEIGHT), -tx * max(z, _LOWEST_HEIGHT)
+            edges.append(Edge(tx * (y - ay) - ty * (x - ax), pull))
+    return Support(tuple(edges), (x, y, z))
 
 
 # -- where masses and wheels are ------------------------------------------------------------

@@ -18,12 +18,14 @@ def audit(
         typer.Argument(metavar="DIR|FILE", help="Folders or files of a robot, of any origin."),
     ],
     format: options.Format = "text",
+    json: options.Json = False,
     strict: options.Strict = False,
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
     from thorvaldc.tools.audit.audit_run import audit as audit_files
 
+    format = "json" if json else format
     check_format(format)
     output = DiagnosticOutput(format, sys.stdout)
     result = audit_files(names, trust=trust)

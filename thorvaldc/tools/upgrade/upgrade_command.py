@@ -31,6 +31,7 @@ def upgrade(
             help="Write nothing; print the difference, with the exit status 1 if there is one.",
         ),
     ] = False,
+    json: options.Json = False,
     library: options.Library = [],  # noqa: B006
 ) -> int:
     from thorvaldc.diagnostics.report import grouped
@@ -40,8 +41,9 @@ def upgrade(
     folders = tuple(options.library_folders(library))
     paths = [Path(file) for file in dict.fromkeys(files)]
     robots = tuple(p for p in paths if kind_of_file(p) in ("robot", "fleet", "scenario"))
-    output = diagnostic_output.DiagnosticOutput("text", sys.stderr)
+    output = diagnostic_output.DiagnosticOutput("json" if json else "text", sys.stderr)
     decisions, sources, status = Report(), {}, DONE
+    upgrades = []
     for path in paths:
         result = upgrade_file(path, Context(folders, robots))
         sources[str(path)] = path
@@ -49,19 +51,27 @@ def upgrade(
         errors.extend(result.report.errors)
         output.add(errors, sources)
         decisions.extend(d for d in result.report if d not in result.report.errors)
-        if result.is_changed and dry_run:
-            sys.stdout.write(result.difference())
+        difference = result.difference() if result.is_changed and dry_run else ""
+        if difference:
             status = max(status, INPUT)
         elif result.is_changed and not _write(result):
             status = OUTSIDE
             continue
+        changes = dict(result.changes)
+        upgrades.append({"file": str(path), "changes": changes, "difference": difference})
+        if json:
+            continue
+        sys.stdout.write(difference)
         if result.before is not None:
             line = f"{path}: {_summary(result, dry_run)}"
             print(line, file=sys.stderr if dry_run else sys.stdout)
     merged = Report()
     merged.extend(grouped(decisions))
-    diagnostic_output.show_report(merged, sources)
-    return max(status, output.finish())
+    if json:
+        output.add(merged, sources)
+    else:
+        diagnostic_output.show_report(merged, sources)
+    return max(status, output.finish(upgrades=upgrades))
 
 
 def _write(result: Upgrade) -> bool:
