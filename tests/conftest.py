@@ -24,6 +24,9 @@ from tests.outside_use import (  # noqa: F401
 )
 from tests.workshop import Workshop
 
+collect_ignore_glob = ["golden/*/*"]
+"""Generated packages have tests of their own."""
+
 if HIDDEN:
     hide()
 

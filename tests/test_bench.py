@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import importlib
+import math
 import pkgutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 
 import bench
-from bench import broken_sensors, broken_world, world_breaks, world_robots
+from bench import broken_sensors, broken_world, learning, world_breaks, world_robots
 from bench.broken_world import evaluate, record
 from bench.figure import Figure, in_turns
 from bench.healthy_readings import healthy_fit
@@ -257,3 +259,18 @@ def test_a_class_has_the_figure_of_its_worst_family(monkeypatch: pytest.MonkeyPa
     figures = list(broken_world.figures())
     assert [figure.name for figure in figures] == ["wall: outside", "wall, gyro: outside"]
     assert all("tricycle: " in figure.how for figure in figures)
+
+
+def test_the_environment_with_a_goal_rewards_the_way_to_it() -> None:
+    env = learning.environment()
+    check_env(env.unwrapped, skip_render_check=True)
+    observation, _ = env.reset(seed=1)
+    start, rewards, terminated, truncated = math.hypot(*observation[:2]), 0.0, False, False
+    while not terminated and not truncated:
+        ahead, left = observation[:2] / max(1.0, math.hypot(*observation[:2]))
+        action = np.array([ahead, left, 0.0], np.float32)
+        observation, reward, terminated, truncated, info = env.step(action)
+        rewards += float(reward)
+    assert info["cause"] == "ended"
+    assert rewards == pytest.approx(start + 1.0 - learning.NEAR, abs=0.1)
+    env.close()

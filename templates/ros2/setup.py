@@ -1,3 +1,5 @@
+"""The files that colcon installs."""
+
 import os
 from glob import glob
 
@@ -7,6 +9,7 @@ package_name = "{{ package }}"
 
 
 def folder(name):
+    """Return a folder that is installed, with its files."""
     files = [path for path in glob(f"{name}/*") if os.path.isfile(path)]
     return (f"share/{package_name}/{name}", sorted(files))
 
@@ -28,6 +31,7 @@ setup(
     maintainer_email="unknown@example.org",
     description="{{ description }}",
     license="unspecified",
+    extras_require={"test": ["pytest"]},
     # % if has_driver
     entry_points={
         "console_scripts": [

@@ -107,9 +107,12 @@ def package_files(
         "has_driver": has_driver,
         "folders": sorted({posixpath.dirname(path) for path in files} - {"", package}),
     }
-    names = ("package.xml", "setup.py", "setup.cfg")
-    texts = {name: _TEMPLATES.render(name, **values).encode() for name in names}
-    return {**texts, f"resource/{package}": b""}
+    names = ("package.xml", "setup.py", "setup.cfg", "test_package.py")
+    texts = [_TEMPLATES.render(name, **values).encode() for name in names]
+    return {
+        **dict(zip((*names[:3], f"test/{names[3]}"), texts, strict=True)),
+        f"resource/{package}": b"",
+    }
 
 
 def driver_module(robot: Robot) -> dict[str, bytes]:

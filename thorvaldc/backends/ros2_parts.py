@@ -14,6 +14,7 @@ from thorvaldc.backends.sdf_extra_sensors import extra_sensors
 from thorvaldc.model import Robot, Sensor, joint_topics
 from thorvaldc.model.joint_topics import topic_of
 from thorvaldc.model.settings import EKF, MAP_FRAME, ODOM_FRAME
+from thorvaldc.model.statics.standing import stands_without_couplings
 
 CLOCK, JOINT_STATES, TRUE_ODOMETRY = "clock", "joint_states", "odometry/true"
 """Topics in Gazebo."""
@@ -101,6 +102,8 @@ def parts_of(robot: Robot) -> Parts:
         left_out.append(("slam_toolbox", "the robot has no 2d lidar"))
     if not lidars:
         left_out.append(("Nav2", "no lidar of the robot detects obstacles"))
+    if not stands_without_couplings(robot):
+        left_out.append(("couplings in Gazebo", "SDF has none: the robot does not stand there"))
     return Parts(lidars, slam, gnss, imu, tuple(left_out))
 
 
@@ -129,6 +132,11 @@ def source_topic(robot: Robot, name: str) -> str:
         if source.name == name:
             return source.topic
     return f"{name}/cmd_vel"
+
+
+WORLD_FRAME = "world"
+"""Frame of the true poses of Gazebo. Its ``OdometryPublisher`` sends poses in the world, also for a
+robot that was not placed at its origin, and ignores the frame that it is given."""
 
 
 def odom_frame(robot: Robot) -> str:

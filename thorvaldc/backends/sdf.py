@@ -15,8 +15,10 @@ from itertools import pairwise
 from thorvaldc.backends import Backend, description_parts, sdf_extra_sensors, sdf_robot
 from thorvaldc.backends.xml_writer import Element, to_bytes
 from thorvaldc.diagnostics import Diagnostic
+from thorvaldc.diagnostics.codes import CODES
 from thorvaldc.model import Fleet, Ground, Pose, Robot, World
 from thorvaldc.model.sensor_numbers import WORLD_ORIGIN
+from thorvaldc.model.statics.standing import stands_without_couplings
 from thorvaldc.model.stl import Triangle, binary_stl
 
 STEP = 0.001
@@ -42,9 +44,20 @@ class Sdf(Backend):
 
     def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
         left_out = sdf_extra_sensors.left_out(robot)
-        return description_parts.urdf_only_elements(
-            robot, f"SDF {VERSION}", mimics=True, in_gazebo=left_out
+        falls = not stands_without_couplings(robot)
+        yield from description_parts.urdf_only_elements(
+            robot, f"SDF {VERSION}", mimics=not falls, in_gazebo=left_out
         )
+        if falls:
+            coupled = [joint for joint in robot.joints if joint.mimic is not None]
+            names = ", ".join(f"`{joint.name}`" for joint in coupled)
+            yield Diagnostic(
+                CODES["coupling-left-out"],
+                f"SDF {VERSION} has no couplings: in Gazebo {names} turns freely, and the robot"
+                " does not stand",
+                coupled[0].span,
+                "simulate it in MuJoCo",
+            )
 
     def emit(self, robot: Robot) -> dict[str, bytes]:
         return {

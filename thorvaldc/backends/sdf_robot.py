@@ -208,7 +208,7 @@ class _RobotWriter:
         """Add the systems of Gazebo that drive the joints and publish states and odometry."""
         rate = self.robot.driver.rate
         add_system(model, "odometry-publisher", "OdometryPublisher").fill(
-            odom_frame=f"{self.prefix}odom",
+            odom_frame=ros2_parts.WORLD_FRAME,
             robot_base_frame=self.prefix + self.robot.links[0].name,
             odom_topic=self.prefix + ros2_parts.TRUE_ODOMETRY,
             odom_publish_frequency=rate,

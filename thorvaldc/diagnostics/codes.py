@@ -254,6 +254,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV605", "control-name-duplicate", "two <ros2_control> elements have the same name"),
     _warning("TV606", "control-incomplete", "<ros2_control> has no name, type or plug-in"),
     _warning("TV607", "control-joint-refused", "ros2_control refuses a joint of an extra"),
+    _warning("TV608", "coupling-left-out", "a robot does not stand in a format without couplings"),
     _error("TV612", "ros-package-name", "a ROS 2 package cannot have this name"),
     _error("TV613", "ros-package-duplicate", "two robots of a fleet have the same ROS 2 package"),
     _error("TV614", "ros-frame-name", "a link has a name that no frame of ROS 2 can have"),

@@ -1,17 +1,22 @@
 """The robot's description and its base driver; other launch files include it."""
 
-import json
 import os
 
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+    SetLaunchConfiguration,
+)
 # % if local_ekf
 from launch.conditions import IfCondition, UnlessCondition
 # % else
 from launch.conditions import IfCondition
 # % endif
-from launch.substitutions import LaunchConfiguration
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
@@ -29,48 +34,43 @@ ARGUMENTS = {
         "the base driver publishes the transform from odom to base_link",
     ),
     "urdf": ("robot.urdf", "the robot's description in the folder urdf"),
-    "model": ("", "ros2/config/model.json of another build, which is started in place of this one"),
     "rviz": ("false", "start RViz"),
 }
 
 
 def generate_launch_description():
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument(
-                "base",
-                default_value="bus",
-                choices=["ideal", "mujoco", "virtual", "bus", "topics"],
-                description="ideal joints, MuJoCo, a simulated bus, the robot's bus, or topics",
-            ),
-            DeclareLaunchArgument(
-                "joint_topics",
-                default_value="gazebo",
-                choices=["gazebo", "ros2_control", "joint_states"],
-                description="the other program behind the topics of the joints",
-            ),
-            *[
-                DeclareLaunchArgument(name, default_value=value, description=text)
-                for name, (value, text) in ARGUMENTS.items()
-            ],
-            OpaqueFunction(function=start),
-        ]
+    """Return what this file starts."""
+    return launch_description(
+        DeclareLaunchArgument(
+            "base",
+            default_value="bus",
+            choices=["ideal", "mujoco", "virtual", "bus", "topics"],
+            description="ideal joints, MuJoCo, a simulated bus, the robot's bus, or topics",
+        ),
+        DeclareLaunchArgument(
+            "joint_topics",
+            default_value="gazebo",
+            choices=["gazebo", "ros2_control", "joint_states"],
+            description="the other program behind the topics of the joints",
+        ),
+        *[
+            DeclareLaunchArgument(name, default_value=value, description=text)
+            for name, (value, text) in ARGUMENTS.items()
+        ],
+        OpaqueFunction(function=start),
     )
 
 
 def start(context):
-    share = get_package_share_directory(PACKAGE)
-    model = LaunchConfiguration("model").perform(context)
-    namespace = NAMESPACE
-    if model:
-        share = folder_of(model)
-        with open(model, encoding="utf-8") as file:
-            robot = json.load(file)["model"]
-        namespace = robot["namespace"]
-    config = os.path.join(share, "config")
+    """Return the nodes."""
+    driver = LaunchConfiguration("driver_package", default="").perform(context)
+    config = os.path.join(SHARE, "config")
     urdf = LaunchConfiguration("urdf").perform(context)
-    with open(os.path.join(share, "urdf", urdf), encoding="utf-8") as file:
-        description = file.read().replace("$(find {{ package }})", share)
+    with open(os.path.join(SHARE, "urdf", urdf), encoding="utf-8") as file:
+        description = file.read().replace("$(find {{ package }})", SHARE)
+    if driver:  # of the package that started this build, which may not be installed
+        meshes = "package://{{ package }}/"
+        description = description.replace(meshes, f"file://{SHARE}/")
 
     def argument(name, value_type):
         return ParameterValue(LaunchConfiguration(name), value_type=value_type)
@@ -85,7 +85,7 @@ def start(context):
             package="robot_state_publisher",
             executable="robot_state_publisher",
             name="robot_state_publisher",
-            namespace=namespace,
+            namespace=NAMESPACE,
             output="screen",
             parameters=[
                 os.path.join(config, "robot_state_publisher.yaml"),
@@ -94,10 +94,10 @@ def start(context):
             ],
         ),
         Node(
-            package=PACKAGE,
+            package=driver or PACKAGE,
             executable="base_driver",
             name="base_driver",
-            namespace=namespace,
+            namespace=NAMESPACE,
             output="screen",
             parameters=[
                 os.path.join(config, "base_driver.yaml"),
@@ -116,10 +116,10 @@ def start(context):
         # The other program keeps the last commands, also when the base driver has ended.
         Node(
             condition=IfCondition(LaunchConfiguration("guard")),
-            package=PACKAGE,
+            package=driver or PACKAGE,
             executable="joint_guard",
             name="joint_guard",
-            namespace=namespace,
+            namespace=NAMESPACE,
             output="screen",
             parameters=[joints, use_sim_time],
         ),
@@ -129,7 +129,7 @@ def start(context):
             package="robot_localization",
             executable="ekf_node",
             name="ekf_odom",
-            namespace=namespace,
+            namespace=NAMESPACE,
             output="screen",
             parameters=[os.path.join(config, "ekf_odom.yaml"), use_sim_time],
         ),
@@ -139,8 +139,8 @@ def start(context):
             package="rviz2",
             executable="rviz2",
             name="rviz2",
-            namespace=namespace,
-            arguments=["-d", os.path.join(share, "rviz", "robot.rviz")],
+            namespace=NAMESPACE,
+            arguments=["-d", os.path.join(SHARE, "rviz", "robot.rviz")],
             parameters=[use_sim_time],
         ),
     ]

@@ -26,6 +26,7 @@ ROBOTS = [
 
 
 def robot(number, base, package, namespace, pose, angles):
+    """Return a robot of the fleet at its place."""
     options = ("--x", "--y", "--z", "--qx", "--qy", "--qz", "--qw")
     place = [text for item in zip(options, pose) for text in (item[0], str(item[1]))]
     share = get_package_share_directory(package)
@@ -56,11 +57,13 @@ def robot(number, base, package, namespace, pose, angles):
 
 
 def start(context):
+    """Return all robots."""
     base = LaunchConfiguration("base").perform(context)
     return [robot(number, base, *values) for number, values in enumerate(ROBOTS)]
 
 
 def generate_launch_description():
+    """Return what this file starts."""
     return LaunchDescription(
         [
             DeclareLaunchArgument(

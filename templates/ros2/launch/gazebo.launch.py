@@ -1,6 +1,5 @@
 """Simulation in Gazebo, which gives the time of all nodes."""
 
-import json
 import os
 
 from ament_index_python.packages import get_package_share_directory
@@ -8,11 +7,14 @@ from launch import LaunchDescription
 from launch.actions import (
     AppendEnvironmentVariable,
     DeclareLaunchArgument,
+    GroupAction,
     IncludeLaunchDescription,
     OpaqueFunction,
+    SetLaunchConfiguration,
 )
+from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 # % if command_topic
 from launch_ros.parameter_descriptions import ParameterValue
@@ -31,85 +33,66 @@ CONTROLLERS = [
 
 
 def generate_launch_description():
-    return LaunchDescription(
-        [
+    """Return what this file starts."""
+    return launch_description(
+        DeclareLaunchArgument(
+            "gz_args", default_value="-r", description="options of gz sim; -r -s: no window"
+        ),
+        DeclareLaunchArgument(
+            "world",
+            default_value=os.path.join(SHARE, "sdf", "world.sdf"),
+            description="world of Gazebo; empty: Gazebo runs already, with the time on /clock",
+        ),
+        # % if command_topic
+        DeclareLaunchArgument(
+            "controller",
+            default_value="base_driver",
+            choices=["base_driver", "standard"],
+            description="the base driver, or the controllers of ros2_control",
+        ),
+        # % endif
+        *[
             DeclareLaunchArgument(
-                "gz_args", default_value="-r", description="options of gz sim; -r -s: no window"
-            ),
-            DeclareLaunchArgument(
-                "world",
-                default_value=os.path.join(
-                    get_package_share_directory(PACKAGE), "sdf", "world.sdf"
-                ),
-                description="world of Gazebo; empty: Gazebo runs already, with the time on /clock",
-            ),
-            # % if command_topic
-            DeclareLaunchArgument(
-                "controller",
-                default_value="base_driver",
-                choices=["base_driver", "standard"],
-                description="the base driver, or the controllers of ros2_control",
-            ),
-            # % endif
-            *[
-                DeclareLaunchArgument(
-                    name, default_value="0.0", description="place in the world, in m and rad"
-                )
-                for name in PLACE
-            ],
-            DeclareLaunchArgument(
-                "model",
-                default_value="",
-                description="ros2/config/model.json of another build, which drives in place of"
-                " this one",
-            ),
-            DeclareLaunchArgument("rviz", default_value="false", description="start RViz"),
-            OpaqueFunction(function=start),
-        ]
+                name, default_value="0.0", description="place in the world, in m and rad"
+            )
+            for name in PLACE
+        ],
+        DeclareLaunchArgument("rviz", default_value="false", description="start RViz"),
+        OpaqueFunction(function=start),
     )
 
 
 def start(context):
-    share = get_package_share_directory(PACKAGE)
-    package, namespace, robot_name = PACKAGE, NAMESPACE, "{{ model_name }}"
-    other = LaunchConfiguration("model").perform(context)
-    if other:
-        share = folder_of(other)
-        with open(other, encoding="utf-8") as file:
-            robot = json.load(file)["model"]
-        package, namespace = robot["ros"]["package"], robot["namespace"]
-        robot_name = namespace or robot["name"]
-    config = os.path.join(share, "config")
+    """Return Gazebo with the robot in it."""
+    config = os.path.join(SHARE, "config")
     # % if command_topic
     standard = LaunchConfiguration("controller").perform(context) == "standard"
-    if standard and other:
-        raise RuntimeError("controller:=standard starts the robot of this package; leave out model")
     variant, moved_by = ("_ros2_control", controllers) if standard else ("", base_driver)
     # % else
     variant, moved_by = "", base_driver
     # % endif
-    with open(os.path.join(share, "sdf", f"model{variant}.sdf"), encoding="utf-8") as file:
-        model = file.read().replace(f"$(find {package})", share)
-    if other:
-        model = model.replace(f"model://{package}/", f"file://{share}/")
+    with open(os.path.join(SHARE, "sdf", f"model{variant}.sdf"), encoding="utf-8") as file:
+        model = file.read().replace("$(find {{ package }})", SHARE)
+    if LaunchConfiguration("driver_package", default="").perform(context):
+        model = model.replace("model://{{ package }}/", f"file://{SHARE}/")
     place = [text for name in PLACE for text in (f"-{name}", LaunchConfiguration(name))]
     return [
         # Gazebo finds the meshes of the package in this folder.
-        AppendEnvironmentVariable("GZ_SIM_RESOURCE_PATH", os.path.dirname(share)),
+        AppendEnvironmentVariable("GZ_SIM_RESOURCE_PATH", os.path.dirname(SHARE)),
         *gazebo(LaunchConfiguration("world").perform(context), config),
         Node(
             package="ros_gz_sim",
             executable="create",
             name="create",
-            namespace=namespace,
+            namespace=NAMESPACE,
             output="screen",
-            arguments=["-name", robot_name, "-string", model, *place],
+            arguments=["-name", "{{ model_name }}", "-string", model, *place],
         ),
         Node(
             package="ros_gz_bridge",
             executable="parameter_bridge",
             name="gz_bridge",
-            namespace=namespace,
+            namespace=NAMESPACE,
             output="screen",
             parameters=[
                 {"config_file": os.path.join(config, f"gz_bridge{variant}.yaml")},
@@ -121,6 +104,7 @@ def start(context):
 
 
 def gazebo(world, config):
+    """Return Gazebo with its time on /clock, or nothing if it runs already."""
     if not world:
         return []
     launch = os.path.join(get_package_share_directory("ros_gz_sim"), "launch", "gz_sim.launch.py")
@@ -158,10 +142,10 @@ def gazebo(world, config):
 
 # % if command_topic
 def controllers():
-    share = get_package_share_directory(PACKAGE)
-    config = os.path.join(share, "config")
-    with open(os.path.join(share, "urdf", "robot_gazebo.urdf"), encoding="utf-8") as file:
-        description = file.read().replace("$(find {{ package }})", share)
+    """Return the nodes that move the robot by ros2_control."""
+    config = os.path.join(SHARE, "config")
+    with open(os.path.join(SHARE, "urdf", "robot_gazebo.urdf"), encoding="utf-8") as file:
+        description = file.read().replace("$(find {{ package }})", SHARE)
     use_sim_time = {"use_sim_time": True}
     return [
         Node(
@@ -198,16 +182,15 @@ def controllers():
 
 # % endif
 def base_driver():
-    share = get_package_share_directory(PACKAGE)
+    """Return the nodes that move the robot by the base driver."""
     return [
         IncludeLaunchDescription(
-            PythonLaunchDescriptionSource(os.path.join(share, "launch", "base.launch.py")),
+            PythonLaunchDescriptionSource(os.path.join(SHARE, "launch", "base.launch.py")),
             launch_arguments={
                 "base": "topics",
                 "joint_topics": "gazebo",
                 "guard": "true",
                 "use_sim_time": "true",
-                "model": LaunchConfiguration("model"),
                 "rviz": LaunchConfiguration("rviz"),
             }.items(),
         )

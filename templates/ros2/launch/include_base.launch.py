@@ -2,27 +2,34 @@
 
 import os
 
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import IncludeLaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+    SetLaunchConfiguration,
+)
+from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 
 PACKAGE = "{{ package }}"
-NAMESPACE = "{{ namespace }}"
 
 
 def generate_launch_description():
-    share = get_package_share_directory(PACKAGE)
-    base = os.path.join(share, "launch", "base.launch.py")
-    return LaunchDescription(
-        [
-            IncludeLaunchDescription(
-                PythonLaunchDescriptionSource(base),
-                launch_arguments={
-                    # % for name, value in arguments.items()
-                    "{{ name }}": "{{ value }}",
-                    # % endfor
-                }.items(),
-            )
-        ]
+    """Return what this file starts."""
+    base = os.path.join(SHARE, "launch", "base.launch.py")
+    return launch_description(
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(base),
+            launch_arguments={
+                # % for name, value in arguments.items()
+                "{{ name }}": "{{ value }}",
+                # % endfor
+            }.items(),
+        )
     )
+
+
+# % include "other_build.py"

@@ -2,17 +2,20 @@
 
 import os
 
+# % if not turns_on_the_spot
 from ament_index_python.packages import get_package_share_directory
+# % endif
 from launch import LaunchDescription
-# % if map_sources
-from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+    SetLaunchConfiguration,
+)
 from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
-# % else
-from launch.actions import DeclareLaunchArgument, GroupAction
-from launch.substitutions import LaunchConfiguration
-# % endif
 from launch_ros.actions import Node, SetParameter
 from launch_ros.parameter_descriptions import ParameterValue
 
@@ -21,8 +24,8 @@ NAMESPACE = "{{ namespace }}"
 
 
 def generate_launch_description():
-    share = get_package_share_directory(PACKAGE)
-    nav2 = os.path.join(share, "config", "nav2.yaml")
+    """Return what this file starts."""
+    nav2 = os.path.join(SHARE, "config", "nav2.yaml")
     localization = LaunchConfiguration("localization")
     stamped = {
         "enable_stamped_cmd_vel": ParameterValue(LaunchConfiguration("stamped"), value_type=bool)
@@ -41,64 +44,62 @@ def generate_launch_description():
 
     # velocity_smoother and collision_monitor pass the twists on to the base driver.
     out = [("cmd_vel", "cmd_vel_nav")]
-    costmap = [os.path.join(share, "config", "global_costmap_"), localization, ".yaml"]
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument(
-                "use_sim_time", default_value="false", description="take the time from /clock"
-            ),
-            DeclareLaunchArgument(
-                "localization",
-                default_value="{{ localizations[0] }}",
-                choices=["{{ localizations | join('", "') }}"],
-                description="node that publishes the transform from map to odom",
-            ),
-            DeclareLaunchArgument(
-                "stamped",
-                default_value="{{ stamped }}",
-                description="TwistStamped in place of Twist; ros2_control needs true",
-            ),
-            GroupAction(
-                [
-                    SetParameter("use_sim_time", LaunchConfiguration("use_sim_time")),
-                    # % for source in map_sources
-                    IncludeLaunchDescription(
-                        PythonLaunchDescriptionSource(
-                            os.path.join(share, "launch", "{{ source }}.launch.py")
-                        ),
-                        condition=IfCondition(EqualsSubstitution(localization, "{{ source }}")),
+    costmap = [os.path.join(SHARE, "config", "global_costmap_"), localization, ".yaml"]
+    return launch_description(
+        DeclareLaunchArgument(
+            "use_sim_time", default_value="false", description="take the time from /clock"
+        ),
+        DeclareLaunchArgument(
+            "localization",
+            default_value="{{ localizations[0] }}",
+            choices=["{{ localizations | join('", "') }}"],
+            description="node that publishes the transform from map to odom",
+        ),
+        DeclareLaunchArgument(
+            "stamped",
+            default_value="{{ stamped }}",
+            description="TwistStamped in place of Twist; ros2_control needs true",
+        ),
+        GroupAction(
+            [
+                SetParameter("use_sim_time", LaunchConfiguration("use_sim_time")),
+                # % for source in map_sources
+                IncludeLaunchDescription(
+                    PythonLaunchDescriptionSource(
+                        os.path.join(SHARE, "launch", "{{ source }}.launch.py")
                     ),
-                    # % endfor
-                    node("nav2_controller", "controller_server", remappings=out),
-                    node("nav2_smoother", "smoother_server"),
-                    node("nav2_planner", "planner_server", costmap),
-                    node("nav2_behaviors", "behavior_server", remappings=out),
-                    # % if turns_on_the_spot
-                    node("nav2_bt_navigator", "bt_navigator"),
-                    # % else
-                    # # The recoveries of the default tree would turn the robot on the spot.
-                    node("nav2_bt_navigator", "bt_navigator", {
-                        "default_nav_to_pose_bt_xml": os.path.join(
-                            get_package_share_directory("nav2_bt_navigator"),
-                            "behavior_trees",
-                            "navigate_w_replanning_time.xml",
-                        )
-                    }),
-                    # % endif
-                    node("nav2_waypoint_follower", "waypoint_follower"),
-                    node("nav2_velocity_smoother", "velocity_smoother", remappings=out),
-                    node("nav2_collision_monitor", "collision_monitor"),
-                    Node(
-                        package="nav2_lifecycle_manager",
-                        executable="lifecycle_manager",
-                        name="lifecycle_manager_navigation",
-                        namespace=NAMESPACE,
-                        output="screen",
-                        parameters=[{"autostart": True, "node_names": NODES}],
-                    ),
-                ]
-            ),
-        ]
+                    condition=IfCondition(EqualsSubstitution(localization, "{{ source }}")),
+                ),
+                # % endfor
+                node("nav2_controller", "controller_server", remappings=out),
+                node("nav2_smoother", "smoother_server"),
+                node("nav2_planner", "planner_server", costmap),
+                node("nav2_behaviors", "behavior_server", remappings=out),
+                # % if turns_on_the_spot
+                node("nav2_bt_navigator", "bt_navigator"),
+                # % else
+                # # The recoveries of the default tree would turn the robot on the spot.
+                node("nav2_bt_navigator", "bt_navigator", {
+                    "default_nav_to_pose_bt_xml": os.path.join(
+                        get_package_share_directory("nav2_bt_navigator"),
+                        "behavior_trees",
+                        "navigate_w_replanning_time.xml",
+                    )
+                }),
+                # % endif
+                node("nav2_waypoint_follower", "waypoint_follower"),
+                node("nav2_velocity_smoother", "velocity_smoother", remappings=out),
+                node("nav2_collision_monitor", "collision_monitor"),
+                Node(
+                    package="nav2_lifecycle_manager",
+                    executable="lifecycle_manager",
+                    name="lifecycle_manager_navigation",
+                    namespace=NAMESPACE,
+                    output="screen",
+                    parameters=[{"autostart": True, "node_names": NODES}],
+                ),
+            ]
+        ),
     )
 
 
@@ -112,3 +113,6 @@ NODES = [
     "velocity_smoother",
     "collision_monitor",
 ]
+
+
+# % include "other_build.py"

@@ -1,5 +1,40 @@
-def folder_of(model):
+SHARE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+
+
+def launch_description(*entities):
+    """Return these entities, or the same launch file of the build that `model` names."""
+    model = LaunchConfiguration("model")
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "model",
+                default_value="",
+                description="ros2/config/model.json of another build, which is started in place of"
+                " this one",
+            ),
+            GroupAction(
+                list(entities), scoped=False, condition=IfCondition(EqualsSubstitution(model, ""))
+            ),
+            OpaqueFunction(function=other_build),
+        ]
+    )
+
+
+def other_build(context):
+    """Include the launch file of the other build; it starts the base driver of this package."""
+    model = LaunchConfiguration("model").perform(context)
+    if not model:
+        return []
     share = os.path.dirname(os.path.dirname(os.path.abspath(model)))
-    if not os.path.isfile(os.path.join(share, "config", "base_driver.yaml")):
-        raise RuntimeError(f"model is {model}; expected ros2/config/model.json of a build")
-    return share
+    launch = os.path.join(share, "launch", os.path.basename(__file__))
+    if not os.path.isfile(launch):
+        raise RuntimeError(
+            f"model is {model}; expected ros2/config/model.json of a build that has the launch"
+            f" file {os.path.basename(__file__)}"
+        )
+    return [
+        SetLaunchConfiguration("driver_package", PACKAGE),
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(launch), launch_arguments={"model": ""}.items()
+        ),
+    ]

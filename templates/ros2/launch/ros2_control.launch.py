@@ -2,18 +2,20 @@
 
 import os
 
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-# % if command_topic
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
-# % else
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+    SetLaunchConfiguration,
+)
+from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
+# % if command_topic
+from launch_ros.parameter_descriptions import ParameterValue
 # % endif
 
 PACKAGE = "{{ package }}"
@@ -26,29 +28,28 @@ CONTROLLERS = [
 
 
 def generate_launch_description():
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument(
-                "hardware",
-                default_value="mock",
-                choices=["mock", "mujoco"],
-                description="ideal joints, or joints in MuJoCo by mujoco_ros2_control",
-            ),
-            OpaqueFunction(function=start),
-        ]
+    """Return what this file starts."""
+    return launch_description(
+        DeclareLaunchArgument(
+            "hardware",
+            default_value="mock",
+            choices=["mock", "mujoco"],
+            description="ideal joints, or joints in MuJoCo by mujoco_ros2_control",
+        ),
+        OpaqueFunction(function=start),
     )
 
 
 def start(context):
-    share = get_package_share_directory(PACKAGE)
-    config = os.path.join(share, "config")
+    """Return the nodes."""
+    config = os.path.join(SHARE, "config")
     hardware = LaunchConfiguration("hardware").perform(context)
     has_clock = hardware == "mujoco"
     use_sim_time = {"use_sim_time": has_clock}
     package = "mujoco_ros2_control" if has_clock else "controller_manager"
     # % if command_topic
-    with open(os.path.join(share, "urdf", f"robot_{hardware}.urdf"), encoding="utf-8") as file:
-        description = file.read().replace("$(find {{ package }})", share)
+    with open(os.path.join(SHARE, "urdf", f"robot_{hardware}.urdf"), encoding="utf-8") as file:
+        description = file.read().replace("$(find {{ package }})", SHARE)
     # % endif
     return [
         Node(
@@ -92,7 +93,7 @@ def start(context):
         ),
         # % else
         IncludeLaunchDescription(
-            PythonLaunchDescriptionSource(os.path.join(share, "launch", "base.launch.py")),
+            PythonLaunchDescriptionSource(os.path.join(SHARE, "launch", "base.launch.py")),
             launch_arguments={
                 "base": "topics",
                 "joint_topics": "ros2_control",
@@ -103,3 +104,6 @@ def start(context):
         ),
         # % endif
     ]
+
+
+# % include "other_build.py"

@@ -2,10 +2,17 @@
 
 import os
 
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+    SetLaunchConfiguration,
+)
+from launch.conditions import IfCondition
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
@@ -14,50 +21,54 @@ NAMESPACE = "{{ namespace }}"
 
 
 def generate_launch_description():
-    share = get_package_share_directory(PACKAGE)
-    config = os.path.join(share, "config")
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument(
-                "teleop_controller",
-                default_value="",
-                description="name of the pad as SDL reports it; default: the first pad",
-            ),
-            DeclareLaunchArgument(
-                "stamped",
-                default_value="{{ stamped }}",
-                description="TwistStamped in place of Twist; ros2_control needs true",
-            ),
-            Node(
-                package="joy",
-                executable="game_controller_node",
-                name="game_controller_node",
-                namespace=NAMESPACE,
-                output="screen",
-                parameters=[
-                    os.path.join(config, "teleop_twist_joy.yaml"),
-                    {
-                        "device_name": ParameterValue(
-                            LaunchConfiguration("teleop_controller"), value_type=str
-                        )
-                    },
-                ],
-            ),
-            Node(
-                package="teleop_twist_joy",
-                executable="teleop_node",
-                name="teleop_twist_joy_node",
-                namespace=NAMESPACE,
-                output="screen",
-                parameters=[
-                    os.path.join(config, "teleop_twist_joy.yaml"),
-                    {
-                        "publish_stamped_twist": ParameterValue(
-                            LaunchConfiguration("stamped"), value_type=bool
-                        )
-                    },
-                ],
-                remappings=[("cmd_vel", "{{ teleop_topic }}")],
-            ),
-        ]
+    """Return what this file starts."""
+    config = os.path.join(SHARE, "config", "teleop_twist_joy.yaml")
+
+    def argument(name, value_type):
+        return ParameterValue(LaunchConfiguration(name), value_type=value_type)
+
+    # Stamps of another clock than the driver's are refused.
+    use_sim_time = {"use_sim_time": argument("use_sim_time", bool)}
+    return launch_description(
+        DeclareLaunchArgument(
+            "teleop_controller",
+            default_value="",
+            description="name of the pad as SDL reports it; default: the first pad",
+        ),
+        DeclareLaunchArgument(
+            "stamped",
+            default_value="{{ stamped }}",
+            description="TwistStamped in place of Twist; ros2_control needs true",
+        ),
+        DeclareLaunchArgument(
+            "use_sim_time", default_value="false", description="take the time from /clock"
+        ),
+        Node(
+            package="joy",
+            executable="game_controller_node",
+            name="game_controller_node",
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[
+                config,
+                {"device_name": argument("teleop_controller", str)},
+                use_sim_time,
+            ],
+        ),
+        Node(
+            package="teleop_twist_joy",
+            executable="teleop_node",
+            name="teleop_twist_joy_node",
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[
+                config,
+                {"publish_stamped_twist": argument("stamped", bool)},
+                use_sim_time,
+            ],
+            remappings=[("cmd_vel", "{{ teleop_topic }}")],
+        ),
     )
+
+
+# % include "other_build.py"

@@ -244,6 +244,15 @@ class OpaqueFunction(Action):
             entity.visit(context)
 
 
+class SetLaunchConfiguration(Action):
+    def __init__(self, name: Any, value: Any, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self.name, self.value = name, value
+
+    def execute(self, context: Context) -> None:
+        context.configurations[context.text(self.name)] = context.text(self.value)
+
+
 class SetParameter(Action):
     """Sets a parameter of all nodes that start later in the group."""
 
@@ -414,6 +423,7 @@ def _modules(context: Context) -> Iterator[None]:
             "GroupAction": GroupAction,
             "IncludeLaunchDescription": IncludeLaunchDescription,
             "OpaqueFunction": OpaqueFunction,
+            "SetLaunchConfiguration": SetLaunchConfiguration,
         },
         "launch.conditions": {"IfCondition": IfCondition, "UnlessCondition": UnlessCondition},
         "launch.launch_description_sources": {

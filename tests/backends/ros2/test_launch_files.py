@@ -149,34 +149,51 @@ def test_arguments_reach_the_base_driver(tmp_path: Path) -> None:
         launch(robot, tmp_path, "ideal", basis="ideal")
 
 
-def test_a_package_starts_the_robot_of_another_build(tmp_path: Path) -> None:
-    """Model, description, parameters and name space are those of the other build."""
-    other = write(tmp_path / "build" / "ros2", package_of(variant("car", namespace="r7")))
+@pytest.mark.parametrize("owners", [("driver", "ekf"), ("ekf", "driver")])
+def test_a_package_starts_the_robot_of_another_build(
+    owners: tuple[str, str], tmp_path: Path
+) -> None:
+    """All files, arguments and names are those of the other build, the programs of this one."""
+    built = variant("4wd4ws_slim", namespace="r7", odom_tf=owners[0])
+    other = write(tmp_path / "build" / "ros2", package_of(built))
     model = str(other / "config" / "model.json")
-    nodes = started(example_robot("4wd4ws_wide"), tmp_path / "installed", "ideal", model=model)
-    driver = nodes["base_driver"]
-    assert full_name(driver) == "/r7/base_driver"
-    assert driver.package == "thorvald_4wd4ws_wide"
-    assert driver.parameters["model_file"] == model
-    assert driver.files == [other / "config" / "base_driver.yaml"]
-    publisher = nodes["robot_state_publisher"]
-    assert "r7/base_link" in publisher.parameters["robot_description"]
-    nodes = started(example_robot("4wd4ws_wide"), tmp_path / "gazebo", "gazebo", model=model)
-    assert full_name(nodes["base_driver"]) == "/r7/base_driver"
-    assert nodes["base_driver"].parameters["model_file"] == model
-    assert full_name(nodes["gz_bridge"]) == "/r7/gz_bridge"
-    assert nodes["gz_bridge"].parameters["config_file"] == str(other / "config" / "gz_bridge.yaml")
-    _, name, _, sdf, *_ = nodes["create"].arguments
-    assert name == "r7"
-    meshes = [str(uri.text) for uri in ElementTree.fromstring(sdf).iter("uri")]
-    assert meshes
-    assert all(Path(uri.removeprefix("file://")).is_file() for uri in meshes), meshes[0]
-    greenhouse = example_robot("2wd0ws_greenhouse")
-    with pytest.raises(RuntimeError, match="leave out model"):
-        started(greenhouse, tmp_path, "gazebo", model=model, controller="standard")
-    wrong = write(tmp_path / "wrong", {"model.json": b"{}"}) / "model.json"
-    with pytest.raises(RuntimeError, match="of a build"):
+    installed = variant("4wd4ws_wide", odom_tf=owners[1])
+    for file in launch_names(built):
+        folder = tmp_path / file
+        nodes = started(installed, folder, file, model=model, **extra_arguments(file))
+        for node in nodes.values():
+            assert node.namespace == "r7"
+            assert node.package != built.ros.package
+            for path in (*node.files, node.parameters.get("model_file", other)):
+                assert Path(path).is_relative_to(other)
+        if driver := nodes.get("base_driver"):
+            assert driver.package == "thorvald_4wd4ws_wide"
+            assert driver.parameters["model_file"] == model
+            assert driver.parameters["enable_odom_tf"] is (owners[0] == "driver")
+            assert ("ekf_odom" in nodes) is (owners[0] == "ekf")
+            text = nodes["robot_state_publisher"].parameters["robot_description"]
+            assert "r7/base_link" in text
+            files = {
+                str(mesh.get("filename")) for mesh in ElementTree.fromstring(text).iter("mesh")
+            }
+            assert files
+            assert all(Path(name.removeprefix("file://")).is_file() for name in files)
+        if file == "gazebo":
+            _, name, _, sdf, *_ = nodes["create"].arguments
+            assert name == "r7"
+            meshes = [str(uri.text) for uri in ElementTree.fromstring(sdf).iter("uri")]
+            assert meshes
+            assert all(Path(uri.removeprefix("file://")).is_file() for uri in meshes), meshes[0]
+
+
+def test_a_model_that_is_none_of_a_build_is_an_error(tmp_path: Path) -> None:
+    wrong = write(tmp_path / "wrong" / "config", {"model.json": b"{}"}) / "model.json"
+    with pytest.raises(RuntimeError, match="of a build that has the launch file ideal"):
         started(example_robot("car"), tmp_path / "car", "ideal", model=str(wrong))
+    built = write(tmp_path / "ros2", package_of(example_robot("1wd1ws_front")))
+    model = str(built / "config" / "model.json")
+    with pytest.raises(RuntimeError, match=r"gnss\.launch\.py"):
+        started(example_robot("4wd4ws_wide"), tmp_path / "wide", "gnss", model=model)
 
 
 @pytest.mark.parametrize("owner", ["driver", "ekf"])
@@ -216,6 +233,9 @@ def test_the_pad_moves_the_robot(distro: str, tmp_path: Path) -> None:
     assert values["/r1/teleop_twist_joy_node"]["publish_stamped_twist"] is stamped
     driver = read(package_of(robot)["config/base_driver.yaml"].decode())["/r1/base_driver"]
     assert driver["stamped"] is stamped
+    # A twist with the time of another clock would be refused.
+    nodes = started(robot, tmp_path, "teleop", use_sim_time="true")
+    assert all(node.parameters["use_sim_time"] is True for node in nodes.values())
     # The pad is silent for less than the time-out of the source.
     rate = values["/r1/game_controller_node"]["autorepeat_rate"]
     assert all(source.timeout > 2.0 / rate for source in robot.twist_sources)
@@ -354,7 +374,7 @@ def test_the_double_refuses_what_the_launch_system_refuses(text: str, tmp_path: 
 def test_installed_packages_are_those_of_the_test(tmp_path: Path) -> None:
     shares = install(example_robot("car"), tmp_path)
     with pytest.raises(LaunchError, match="not found"):
-        run(next(iter(shares.values())) / "launch" / "ideal.launch.py", {})
+        run(next(iter(shares.values())) / "launch" / "gazebo.launch.py", {})
 
 
 @pytest.mark.parametrize("owner", ["driver", "ekf"])

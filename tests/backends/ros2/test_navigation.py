@@ -8,6 +8,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.backends.ros2.packages import (
@@ -237,11 +238,18 @@ def inside(point: tuple[float, float], corners: list[tuple[float, float]]) -> bo
 
 @pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_footprint_contains_every_wheel_in_every_direction(name: str) -> None:
+    """In every direction to which it can steer."""
     robot = example_robot(name)
     corners = footprint(robot)
     for wheel in robot.wheels:
-        angles = range(0, 360, 5) if wheel.steered else [0]
-        for degrees in angles:
+        lower, upper = 0.0, 0.0
+        if wheel.steering_joint is not None:
+            joint = robot.joint(wheel.steering_joint)
+            lower, upper = (
+                math.degrees(limit) if limit is not None else end
+                for limit, end in ((joint.lower, -180.0), (joint.upper, 180.0))
+            )
+        for degrees in np.linspace(lower, upper, 73):
             angle = wheel.heading + math.radians(degrees)
             along, across = (math.cos(angle), math.sin(angle)), (-math.sin(angle), math.cos(angle))
             for a in (-wheel.radius, wheel.radius):

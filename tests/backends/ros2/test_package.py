@@ -78,26 +78,30 @@ def test_colcon_builds_the_package(distro: str, tmp_path: Path) -> None:
     robot = variant("4wd4ws_wide", distro=distro)
     shares = install(robot, tmp_path / "src")
     package = robot.ros.package
-    result = subprocess.run(
-        [
-            str(program),
-            *("--log-base", str(tmp_path / "log")),
-            *("build", "--base-paths", str(tmp_path / "src")),
-            *("--build-base", str(tmp_path / "build")),
-            *("--install-base", str(tmp_path / "install")),
-        ],
-        cwd=tmp_path,
-        env={**os.environ, "PATH": f"{program.parent}:{os.environ['PATH']}"},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert result.returncode == 0, result.stderr
+    places = [
+        *("--base-paths", str(tmp_path / "src"), "--build-base", str(tmp_path / "build")),
+        *("--install-base", str(tmp_path / "install")),
+    ]
+    for verb in ("build", "test"):
+        result = subprocess.run(
+            [str(program), "--log-base", str(tmp_path / "log"), verb, *places],
+            cwd=tmp_path,
+            env={**os.environ, "PATH": f"{program.parent}:{os.environ['PATH']}"},
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+        assert result.returncode == 0, result.stdout + result.stderr
+    suite = ElementTree.parse(tmp_path / "build" / package / "pytest.xml").find("testsuite")
+    assert suite is not None
+    files = [path for path in package_of(robot) if path.endswith((".launch.py", ".yaml"))]
+    assert suite.get("tests") == str(len(files))
+    assert (suite.get("failures"), suite.get("errors")) == ("0", "0")
     prefix = tmp_path / "install" / package
     installed = prefix / "share" / package
     for path in package_of(robot):
-        if "/" in path and not path.startswith(("resource/", f"{package}/")):
+        if "/" in path and not path.startswith(("resource/", "test/", f"{package}/")):
             assert (installed / path).read_bytes() == (shares[package] / path).read_bytes()
     assert (prefix / "share/ament_index/resource_index/packages" / package).is_file()
     assert os.access(prefix / "lib" / package / "base_driver", os.X_OK)

@@ -229,15 +229,16 @@ def test_three_wheels_have_one_load(shop: Workshop) -> None:
 
 
 def test_the_formats_contain_the_coupling(shop: Workshop) -> None:
-    """URDF as a mimic joint, MJCF as an equality; SDF 1.9 cannot say it and warns."""
+    """URDF as a mimic joint, MJCF as an equality; SDF 1.9 cannot say it and warns, if the robot
+    does not stand without it."""
     robot = shop.robot(rover(), DIFFERENTIAL.replace("-1", "-0.5, offset: 1 deg"))
     urdf = files_of(Urdf, robot)["urdf/robot.urdf"].decode()
     assert '<mimic joint="left_pivot" multiplier="-0.5" offset="0.01745329' in urdf
     mjcf = files_of(Mjcf, robot)["mjcf/robot.xml"].decode()
     assert 'joint1="right_pivot" joint2="left_pivot" polycoef="0.01745329' in mjcf
     (diagnostic,) = Sdf().unsupported(robot)
-    assert diagnostic.code.name == "urdf-only-element"
-    assert "1 x <mimic>" in diagnostic.message
+    assert diagnostic.code.name == "coupling-left-out"
+    assert "`right_pivot` turns freely" in diagnostic.message
 
 
 def test_a_module_couples_its_own_joints(shop: Workshop) -> None:
@@ -260,6 +261,9 @@ def test_a_module_couples_its_own_joints(shop: Workshop) -> None:
     mimic = robot.joint("part_right").mimic
     assert mimic is not None
     assert (mimic.joint, mimic.multiplier, mimic.offset) == ("part_left", -0.5, 0.0)
+    (diagnostic,) = Sdf().unsupported(robot)
+    assert diagnostic.code.name == "urdf-only-element"
+    assert "1 x <mimic>" in diagnostic.message
 
 
 def simulate(robot: Robot, folder: Path) -> tuple[float, dict[str, float]]:

@@ -68,14 +68,17 @@ class Robot:
         self.path = 0.0
         self.moved_at = 0.0
         self._last: Pose | None = None
+        self.frames: dict[str, str] = {}
 
     def _measured(self, message: Any) -> None:
         self.measured = pose_of(message)
+        self.frames["measured"] = message.header.frame_id
         self.time = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
 
     def _true(self, message: Any) -> None:
         stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
         pose = pose_of(message)
+        self.frames["true"] = message.header.frame_id
         if self._last is not None:
             step = math.dist(pose[:2], self._last[:2])
             self.path += step
@@ -93,14 +96,17 @@ class Robot:
         message.linear.x, message.angular.z = vx, wz
         self.twists.publish(message)
 
-    def error(self) -> dict[str, float]:
+    def result(self) -> dict[str, Any]:
+        """Returns the errors, and the frames and the first poses of the topics."""
         pair = self.pair()
         assert pair is not None
         assert self.start is not None
         measured, true = (relative(now, start) for now, start in zip(pair, self.start, strict=True))
         distance = math.dist(measured[:2], true[:2])
         yaw = abs(math.remainder(measured[2] - true[2], math.tau))
-        return {"path": self.path, "distance": distance, "yaw": yaw}
+        starts = dict(zip(("measured", "true"), self.start, strict=True))
+        places = {name: (frame, starts[name]) for name, frame in self.frames.items()}
+        return {"path": self.path, "distance": distance, "yaw": yaw, **places}
 
 
 def wait(node: Any, what: str, condition: Any) -> None:
@@ -146,7 +152,7 @@ def main() -> None:
     for robot in robots:
         wait(node, "the odometry", robot.pair)
     results = {
-        name: {**robot.error(), "fault": state["fault"]}
+        name: {**robot.result(), "fault": state["fault"]}
         for name, robot, state in zip(namespaces, robots, states, strict=True)
     }
     print(json.dumps(results))

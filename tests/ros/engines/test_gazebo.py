@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import re
 import signal
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from tests.ros.engines import running
 from tests.ros.environments import DISTROS, each_distro
 from tests.ros.test_node import run_client
 from tests.slow import mostly_slow
+from thorvaldc.backends.ros2_parts import WORLD_FRAME
 from thorvaldc.compiler.pipeline import emit
 
 FIRST = pytest.mark.parametrize(
@@ -36,6 +38,7 @@ YAW = 0.008
 """Largest error of the yaw in rad."""
 # SDF 1.9 has no couplings of joints, so that this robot would tip over its free rockers.
 COUPLED = ("rocker_bogie",)
+ZERO = (0.0, 0.0, 0.0)
 
 
 def scene(physics: str, folder: Path, package: Path) -> Path:
@@ -116,8 +119,16 @@ def test_a_fleet_drives_in_one_world(distro: str, physics: str, tmp_path: Path) 
         results = json.loads(run_client(distro, "engines.mission", tmp_path, 8.0, ",".join(names)))
         running.end(engine)
     assert list(results) == names
-    for result in results.values():
+    for (name, result), place in zip(results.items(), places, strict=True):
         check(result, 1.0)
+        # The odometry begins at zero, the true pose at the place of the robot in the world.
+        for topic, frame, start in (
+            ("true", WORLD_FRAME, place),
+            ("measured", f"{name}/odom", ZERO),
+        ):
+            assert result[topic][0] == frame
+            assert result[topic][1][:2] == pytest.approx(start[:2], abs=0.05)
+            assert abs(math.remainder(result[topic][1][2] - start[2], math.tau)) < 0.02
 
 
 # -- the engine notices what is wrong in the files -------------------------------------------------

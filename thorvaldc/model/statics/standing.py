@@ -52,6 +52,8 @@ _CURVATURE = 1e-4
 """Smallest curvature of the energy over the weight (m) of a stable pose: a body whose centre of
 mass is less than 0.1 mm below its axis hangs in balance."""
 _FALLEN = math.radians(45.0)
+_TILT = math.radians(1.0)
+"""Change of the tilt from which a robot has another pose."""
 _TURNED = math.radians(120.0)
 _SLID = 1.0  # m
 
@@ -532,6 +534,18 @@ def spring_loads(
         sprung = find_standing(sprung_tree, wheels, stopped, sprung=True)
         loads = sprung.loads if sprung is not None else loads
     return joints, loads
+
+
+def stands_without_couplings(robot: Robot) -> bool:
+    """Return whether a robot stands in the same pose if no joint follows another one, as in a
+    format that cannot say so; true for a robot that does not stand anyway."""
+    standing = standing_of(robot)
+    if standing is None or not any(joint.mimic for joint in robot.joints):
+        return True
+    joints = tuple(replace(joint, mimic=None) for joint in robot.joints)
+    free = standing_of(replace(robot, joints=joints))
+    assert free is not None  # its joints give way too
+    return not standing.stands or (free.stands and free.tilt < standing.tilt + _TILT)
 
 
 @once_per_model

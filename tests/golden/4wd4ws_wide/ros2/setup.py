@@ -1,3 +1,5 @@
+"""The files that colcon installs."""
+
 import os
 from glob import glob
 
@@ -7,6 +9,7 @@ package_name = "thorvald_4wd4ws_wide"
 
 
 def folder(name):
+    """Return a folder that is installed, with its files."""
     files = [path for path in glob(f"{name}/*") if os.path.isfile(path)]
     return (f"share/{package_name}/{name}", sorted(files))
 
@@ -32,6 +35,7 @@ setup(
     maintainer_email="unknown@example.org",
     description="The robot thorvald_4wd4ws_wide, made by thorvaldc",
     license="unspecified",
+    extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
             "base_driver = thorvald_4wd4ws_wide.base_driver:main",

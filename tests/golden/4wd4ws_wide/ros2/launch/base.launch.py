@@ -1,13 +1,18 @@
 """The robot's description and its base driver; other launch files include it."""
 
-import json
 import os
 
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+    SetLaunchConfiguration,
+)
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
@@ -25,48 +30,43 @@ ARGUMENTS = {
         "the base driver publishes the transform from odom to base_link",
     ),
     "urdf": ("robot.urdf", "the robot's description in the folder urdf"),
-    "model": ("", "ros2/config/model.json of another build, which is started in place of this one"),
     "rviz": ("false", "start RViz"),
 }
 
 
 def generate_launch_description():
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument(
-                "base",
-                default_value="bus",
-                choices=["ideal", "mujoco", "virtual", "bus", "topics"],
-                description="ideal joints, MuJoCo, a simulated bus, the robot's bus, or topics",
-            ),
-            DeclareLaunchArgument(
-                "joint_topics",
-                default_value="gazebo",
-                choices=["gazebo", "ros2_control", "joint_states"],
-                description="the other program behind the topics of the joints",
-            ),
-            *[
-                DeclareLaunchArgument(name, default_value=value, description=text)
-                for name, (value, text) in ARGUMENTS.items()
-            ],
-            OpaqueFunction(function=start),
-        ]
+    """Return what this file starts."""
+    return launch_description(
+        DeclareLaunchArgument(
+            "base",
+            default_value="bus",
+            choices=["ideal", "mujoco", "virtual", "bus", "topics"],
+            description="ideal joints, MuJoCo, a simulated bus, the robot's bus, or topics",
+        ),
+        DeclareLaunchArgument(
+            "joint_topics",
+            default_value="gazebo",
+            choices=["gazebo", "ros2_control", "joint_states"],
+            description="the other program behind the topics of the joints",
+        ),
+        *[
+            DeclareLaunchArgument(name, default_value=value, description=text)
+            for name, (value, text) in ARGUMENTS.items()
+        ],
+        OpaqueFunction(function=start),
     )
 
 
 def start(context):
-    share = get_package_share_directory(PACKAGE)
-    model = LaunchConfiguration("model").perform(context)
-    namespace = NAMESPACE
-    if model:
-        share = folder_of(model)
-        with open(model, encoding="utf-8") as file:
-            robot = json.load(file)["model"]
-        namespace = robot["namespace"]
-    config = os.path.join(share, "config")
+    """Return the nodes."""
+    driver = LaunchConfiguration("driver_package", default="").perform(context)
+    config = os.path.join(SHARE, "config")
     urdf = LaunchConfiguration("urdf").perform(context)
-    with open(os.path.join(share, "urdf", urdf), encoding="utf-8") as file:
-        description = file.read().replace("$(find thorvald_4wd4ws_wide)", share)
+    with open(os.path.join(SHARE, "urdf", urdf), encoding="utf-8") as file:
+        description = file.read().replace("$(find thorvald_4wd4ws_wide)", SHARE)
+    if driver:  # of the package that started this build, which may not be installed
+        meshes = "package://thorvald_4wd4ws_wide/"
+        description = description.replace(meshes, f"file://{SHARE}/")
 
     def argument(name, value_type):
         return ParameterValue(LaunchConfiguration(name), value_type=value_type)
@@ -81,7 +81,7 @@ def start(context):
             package="robot_state_publisher",
             executable="robot_state_publisher",
             name="robot_state_publisher",
-            namespace=namespace,
+            namespace=NAMESPACE,
             output="screen",
             parameters=[
                 os.path.join(config, "robot_state_publisher.yaml"),
@@ -90,10 +90,10 @@ def start(context):
             ],
         ),
         Node(
-            package=PACKAGE,
+            package=driver or PACKAGE,
             executable="base_driver",
             name="base_driver",
-            namespace=namespace,
+            namespace=NAMESPACE,
             output="screen",
             parameters=[
                 os.path.join(config, "base_driver.yaml"),
@@ -112,10 +112,10 @@ def start(context):
         # The other program keeps the last commands, also when the base driver has ended.
         Node(
             condition=IfCondition(LaunchConfiguration("guard")),
-            package=PACKAGE,
+            package=driver or PACKAGE,
             executable="joint_guard",
             name="joint_guard",
-            namespace=namespace,
+            namespace=NAMESPACE,
             output="screen",
             parameters=[joints, use_sim_time],
         ),
@@ -124,15 +124,50 @@ def start(context):
             package="rviz2",
             executable="rviz2",
             name="rviz2",
-            namespace=namespace,
-            arguments=["-d", os.path.join(share, "rviz", "robot.rviz")],
+            namespace=NAMESPACE,
+            arguments=["-d", os.path.join(SHARE, "rviz", "robot.rviz")],
             parameters=[use_sim_time],
         ),
     ]
 
 
-def folder_of(model):
+SHARE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+
+
+def launch_description(*entities):
+    """Return these entities, or the same launch file of the build that `model` names."""
+    model = LaunchConfiguration("model")
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "model",
+                default_value="",
+                description="ros2/config/model.json of another build, which is started in place of"
+                " this one",
+            ),
+            GroupAction(
+                list(entities), scoped=False, condition=IfCondition(EqualsSubstitution(model, ""))
+            ),
+            OpaqueFunction(function=other_build),
+        ]
+    )
+
+
+def other_build(context):
+    """Include the launch file of the other build; it starts the base driver of this package."""
+    model = LaunchConfiguration("model").perform(context)
+    if not model:
+        return []
     share = os.path.dirname(os.path.dirname(os.path.abspath(model)))
-    if not os.path.isfile(os.path.join(share, "config", "base_driver.yaml")):
-        raise RuntimeError(f"model is {model}; expected ros2/config/model.json of a build")
-    return share
+    launch = os.path.join(share, "launch", os.path.basename(__file__))
+    if not os.path.isfile(launch):
+        raise RuntimeError(
+            f"model is {model}; expected ros2/config/model.json of a build that has the launch"
+            f" file {os.path.basename(__file__)}"
+        )
+    return [
+        SetLaunchConfiguration("driver_package", PACKAGE),
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(launch), launch_arguments={"model": ""}.items()
+        ),
+    ]

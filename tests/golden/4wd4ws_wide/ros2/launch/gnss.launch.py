@@ -2,10 +2,17 @@
 
 import os
 
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+    SetLaunchConfiguration,
+)
+from launch.conditions import IfCondition
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
@@ -14,37 +21,77 @@ NAMESPACE = ""
 
 
 def generate_launch_description():
-    share = get_package_share_directory(PACKAGE)
-    config = os.path.join(share, "config")
+    """Return what this file starts."""
+    config = os.path.join(SHARE, "config")
     use_sim_time = {
         "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
     }
+    return launch_description(
+        DeclareLaunchArgument(
+            "use_sim_time", default_value="false", description="take the time from /clock"
+        ),
+        Node(
+            package="robot_localization",
+            executable="ekf_node",
+            name="ekf_map",
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[os.path.join(config, "gnss.yaml"), use_sim_time],
+            remappings=[("odometry/filtered", "odometry/filtered_map")],
+        ),
+        Node(
+            package="robot_localization",
+            executable="navsat_transform_node",
+            name="navsat_transform",
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[os.path.join(config, "gnss.yaml"), use_sim_time],
+            remappings=[
+                ("odometry/filtered", "odometry/filtered_map"),
+                ("gps/fix", "/gnss_main/fix"),
+                ("imu", "/imu/data"),
+            ],
+        ),
+    )
+
+
+SHARE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+
+
+def launch_description(*entities):
+    """Return these entities, or the same launch file of the build that `model` names."""
+    model = LaunchConfiguration("model")
     return LaunchDescription(
         [
             DeclareLaunchArgument(
-                "use_sim_time", default_value="false", description="take the time from /clock"
+                "model",
+                default_value="",
+                description="ros2/config/model.json of another build, which is started in place of"
+                " this one",
             ),
-            Node(
-                package="robot_localization",
-                executable="ekf_node",
-                name="ekf_map",
-                namespace=NAMESPACE,
-                output="screen",
-                parameters=[os.path.join(config, "gnss.yaml"), use_sim_time],
-                remappings=[("odometry/filtered", "odometry/filtered_map")],
+            GroupAction(
+                list(entities), scoped=False, condition=IfCondition(EqualsSubstitution(model, ""))
             ),
-            Node(
-                package="robot_localization",
-                executable="navsat_transform_node",
-                name="navsat_transform",
-                namespace=NAMESPACE,
-                output="screen",
-                parameters=[os.path.join(config, "gnss.yaml"), use_sim_time],
-                remappings=[
-                    ("odometry/filtered", "odometry/filtered_map"),
-                    ("gps/fix", "/gnss_main/fix"),
-                    ("imu", "/imu/data"),
-                ],
-            ),
+            OpaqueFunction(function=other_build),
         ]
     )
+
+
+def other_build(context):
+    """Include the launch file of the other build; it starts the base driver of this package."""
+    model = LaunchConfiguration("model").perform(context)
+    if not model:
+        return []
+    share = os.path.dirname(os.path.dirname(os.path.abspath(model)))
+    launch = os.path.join(share, "launch", os.path.basename(__file__))
+    if not os.path.isfile(launch):
+        raise RuntimeError(
+            f"model is {model}; expected ros2/config/model.json of a build that has the launch"
+            f" file {os.path.basename(__file__)}"
+        )
+    return [
+        SetLaunchConfiguration("driver_package", PACKAGE),
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(launch), launch_arguments={"model": ""}.items()
+        ),
+    ]

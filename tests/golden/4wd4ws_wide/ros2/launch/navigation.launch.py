@@ -2,9 +2,14 @@
 
 import os
 
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+    SetLaunchConfiguration,
+)
 from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
@@ -16,8 +21,8 @@ NAMESPACE = ""
 
 
 def generate_launch_description():
-    share = get_package_share_directory(PACKAGE)
-    nav2 = os.path.join(share, "config", "nav2.yaml")
+    """Return what this file starts."""
+    nav2 = os.path.join(SHARE, "config", "nav2.yaml")
     localization = LaunchConfiguration("localization")
     stamped = {
         "enable_stamped_cmd_vel": ParameterValue(LaunchConfiguration("stamped"), value_type=bool)
@@ -36,57 +41,51 @@ def generate_launch_description():
 
     # velocity_smoother and collision_monitor pass the twists on to the base driver.
     out = [("cmd_vel", "cmd_vel_nav")]
-    costmap = [os.path.join(share, "config", "global_costmap_"), localization, ".yaml"]
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument(
-                "use_sim_time", default_value="false", description="take the time from /clock"
-            ),
-            DeclareLaunchArgument(
-                "localization",
-                default_value="slam",
-                choices=["slam", "gnss"],
-                description="node that publishes the transform from map to odom",
-            ),
-            DeclareLaunchArgument(
-                "stamped",
-                default_value="false",
-                description="TwistStamped in place of Twist; ros2_control needs true",
-            ),
-            GroupAction(
-                [
-                    SetParameter("use_sim_time", LaunchConfiguration("use_sim_time")),
-                    IncludeLaunchDescription(
-                        PythonLaunchDescriptionSource(
-                            os.path.join(share, "launch", "slam.launch.py")
-                        ),
-                        condition=IfCondition(EqualsSubstitution(localization, "slam")),
-                    ),
-                    IncludeLaunchDescription(
-                        PythonLaunchDescriptionSource(
-                            os.path.join(share, "launch", "gnss.launch.py")
-                        ),
-                        condition=IfCondition(EqualsSubstitution(localization, "gnss")),
-                    ),
-                    node("nav2_controller", "controller_server", remappings=out),
-                    node("nav2_smoother", "smoother_server"),
-                    node("nav2_planner", "planner_server", costmap),
-                    node("nav2_behaviors", "behavior_server", remappings=out),
-                    node("nav2_bt_navigator", "bt_navigator"),
-                    node("nav2_waypoint_follower", "waypoint_follower"),
-                    node("nav2_velocity_smoother", "velocity_smoother", remappings=out),
-                    node("nav2_collision_monitor", "collision_monitor"),
-                    Node(
-                        package="nav2_lifecycle_manager",
-                        executable="lifecycle_manager",
-                        name="lifecycle_manager_navigation",
-                        namespace=NAMESPACE,
-                        output="screen",
-                        parameters=[{"autostart": True, "node_names": NODES}],
-                    ),
-                ]
-            ),
-        ]
+    costmap = [os.path.join(SHARE, "config", "global_costmap_"), localization, ".yaml"]
+    return launch_description(
+        DeclareLaunchArgument(
+            "use_sim_time", default_value="false", description="take the time from /clock"
+        ),
+        DeclareLaunchArgument(
+            "localization",
+            default_value="slam",
+            choices=["slam", "gnss"],
+            description="node that publishes the transform from map to odom",
+        ),
+        DeclareLaunchArgument(
+            "stamped",
+            default_value="false",
+            description="TwistStamped in place of Twist; ros2_control needs true",
+        ),
+        GroupAction(
+            [
+                SetParameter("use_sim_time", LaunchConfiguration("use_sim_time")),
+                IncludeLaunchDescription(
+                    PythonLaunchDescriptionSource(os.path.join(SHARE, "launch", "slam.launch.py")),
+                    condition=IfCondition(EqualsSubstitution(localization, "slam")),
+                ),
+                IncludeLaunchDescription(
+                    PythonLaunchDescriptionSource(os.path.join(SHARE, "launch", "gnss.launch.py")),
+                    condition=IfCondition(EqualsSubstitution(localization, "gnss")),
+                ),
+                node("nav2_controller", "controller_server", remappings=out),
+                node("nav2_smoother", "smoother_server"),
+                node("nav2_planner", "planner_server", costmap),
+                node("nav2_behaviors", "behavior_server", remappings=out),
+                node("nav2_bt_navigator", "bt_navigator"),
+                node("nav2_waypoint_follower", "waypoint_follower"),
+                node("nav2_velocity_smoother", "velocity_smoother", remappings=out),
+                node("nav2_collision_monitor", "collision_monitor"),
+                Node(
+                    package="nav2_lifecycle_manager",
+                    executable="lifecycle_manager",
+                    name="lifecycle_manager_navigation",
+                    namespace=NAMESPACE,
+                    output="screen",
+                    parameters=[{"autostart": True, "node_names": NODES}],
+                ),
+            ]
+        ),
     )
 
 
@@ -100,3 +99,45 @@ NODES = [
     "velocity_smoother",
     "collision_monitor",
 ]
+
+
+SHARE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+
+
+def launch_description(*entities):
+    """Return these entities, or the same launch file of the build that `model` names."""
+    model = LaunchConfiguration("model")
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "model",
+                default_value="",
+                description="ros2/config/model.json of another build, which is started in place of"
+                " this one",
+            ),
+            GroupAction(
+                list(entities), scoped=False, condition=IfCondition(EqualsSubstitution(model, ""))
+            ),
+            OpaqueFunction(function=other_build),
+        ]
+    )
+
+
+def other_build(context):
+    """Include the launch file of the other build; it starts the base driver of this package."""
+    model = LaunchConfiguration("model").perform(context)
+    if not model:
+        return []
+    share = os.path.dirname(os.path.dirname(os.path.abspath(model)))
+    launch = os.path.join(share, "launch", os.path.basename(__file__))
+    if not os.path.isfile(launch):
+        raise RuntimeError(
+            f"model is {model}; expected ros2/config/model.json of a build that has the launch"
+            f" file {os.path.basename(__file__)}"
+        )
+    return [
+        SetLaunchConfiguration("driver_package", PACKAGE),
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(launch), launch_arguments={"model": ""}.items()
+        ),
+    ]

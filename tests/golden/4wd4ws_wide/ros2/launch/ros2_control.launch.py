@@ -2,11 +2,17 @@
 
 import os
 
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+    SetLaunchConfiguration,
+)
+from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 
 PACKAGE = "thorvald_4wd4ws_wide"
@@ -19,22 +25,21 @@ CONTROLLERS = [
 
 
 def generate_launch_description():
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument(
-                "hardware",
-                default_value="mock",
-                choices=["mock", "mujoco"],
-                description="ideal joints, or joints in MuJoCo by mujoco_ros2_control",
-            ),
-            OpaqueFunction(function=start),
-        ]
+    """Return what this file starts."""
+    return launch_description(
+        DeclareLaunchArgument(
+            "hardware",
+            default_value="mock",
+            choices=["mock", "mujoco"],
+            description="ideal joints, or joints in MuJoCo by mujoco_ros2_control",
+        ),
+        OpaqueFunction(function=start),
     )
 
 
 def start(context):
-    share = get_package_share_directory(PACKAGE)
-    config = os.path.join(share, "config")
+    """Return the nodes."""
+    config = os.path.join(SHARE, "config")
     hardware = LaunchConfiguration("hardware").perform(context)
     has_clock = hardware == "mujoco"
     use_sim_time = {"use_sim_time": has_clock}
@@ -58,7 +63,7 @@ def start(context):
             arguments=[*CONTROLLERS, "--controller-manager", "/controller_manager"],
         ),
         IncludeLaunchDescription(
-            PythonLaunchDescriptionSource(os.path.join(share, "launch", "base.launch.py")),
+            PythonLaunchDescriptionSource(os.path.join(SHARE, "launch", "base.launch.py")),
             launch_arguments={
                 "base": "topics",
                 "joint_topics": "ros2_control",
@@ -66,5 +71,47 @@ def start(context):
                 "use_sim_time": str(has_clock).lower(),
                 "urdf": f"robot_{hardware}.urdf",
             }.items(),
+        ),
+    ]
+
+
+SHARE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+
+
+def launch_description(*entities):
+    """Return these entities, or the same launch file of the build that `model` names."""
+    model = LaunchConfiguration("model")
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "model",
+                default_value="",
+                description="ros2/config/model.json of another build, which is started in place of"
+                " this one",
+            ),
+            GroupAction(
+                list(entities), scoped=False, condition=IfCondition(EqualsSubstitution(model, ""))
+            ),
+            OpaqueFunction(function=other_build),
+        ]
+    )
+
+
+def other_build(context):
+    """Include the launch file of the other build; it starts the base driver of this package."""
+    model = LaunchConfiguration("model").perform(context)
+    if not model:
+        return []
+    share = os.path.dirname(os.path.dirname(os.path.abspath(model)))
+    launch = os.path.join(share, "launch", os.path.basename(__file__))
+    if not os.path.isfile(launch):
+        raise RuntimeError(
+            f"model is {model}; expected ros2/config/model.json of a build that has the launch"
+            f" file {os.path.basename(__file__)}"
+        )
+    return [
+        SetLaunchConfiguration("driver_package", PACKAGE),
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(launch), launch_arguments={"model": ""}.items()
         ),
     ]
