@@ -219,7 +219,7 @@ class _Replay(General):
     commanded: list[float] | None = None
 
     @property
-    def commanded_speeds(self) -> Sequence[float]:
+    def commanded_speeds(self) -> Sequence[float] | None:
         return self.commanded or [0.0] * len(self.geometry.wheels)
 
 

@@ -28,7 +28,9 @@ NAMES = {
     "sensor_msgs": (),
     "sensor_msgs.msg": ("JointState",),
     "std_msgs": (),
-    "std_msgs.msg": ("Empty", "Float64", "Float64MultiArray"),
+    "std_msgs.msg": ("Float64", "Float64MultiArray"),
+    "builtin_interfaces": (),
+    "builtin_interfaces.msg": ("Time",),
 }
 """Modules of ROS and their classes that the base uses."""
 

@@ -20,10 +20,10 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Empty
 
 from thorvaldc.model import Robot, wheel_joints
 from thorvaldc.model.joint_topics import HEARTBEAT
@@ -44,6 +44,8 @@ _LOOK = 0.02
 _EARLY = 0.25
 """Share of a period by which joint states may come early: stamps are not quite regular."""
 _DELIVERY = 0.1  # s, real time
+_HEARTBEAT = 0.035
+"""Least time (s) between two heartbeats for the guard, which misses them after ``LONGEST_SILENCE``."""
 
 
 class TopicBase(BaseHandle):
@@ -65,7 +67,8 @@ class TopicBase(BaseHandle):
         self._node = node
         self._wheels = len(robot.wheels)
         self._commands = JointCommandTopics(node, robot, dialect)
-        self._alive = node.create_publisher(Empty, HEARTBEAT, 1)
+        self._alive = node.create_publisher(Time, HEARTBEAT, 1)
+        self._beat = -math.inf  # time of the last heartbeat
         self._reader = JointStateReader(robot, wrapped=dialect == JOINT_STATES)
         qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # hears every sender
         topic = STATES_TOPICS[dialect]
@@ -242,7 +245,9 @@ class TopicBase(BaseHandle):
         return self._reader.others
 
     def write(self, commands: JointCommands, now: float) -> None:
-        self._alive.publish(Empty())
+        if not 0.0 <= now - self._beat < _HEARTBEAT:
+            self._alive.publish(self._node.get_clock().now().to_msg())
+            self._beat = now
         if self._states is not None:  # the angles of the steering are unknown before
             self._commands.send(commands)
             for axis in self._axes:

@@ -260,3 +260,16 @@ def test_weights_of_the_fit_are_those_of_the_assumed_noise() -> None:
     assert list(estimate.twist) == pytest.approx(expected.tolist(), abs=1e-6)
     assert np.array(estimate.covariance) == pytest.approx(np.linalg.inv(information), rel=1e-6)
     assert np.abs(expected - np.array(first)).max() > 0.01  # the weights matter
+
+
+def test_a_calculator_that_commanded_nothing_suspects_no_wheel() -> None:
+    """What a robot was commanded is unknown then, and not zero: two wheels in a turn differ."""
+    geometry = BaseGeometry.from_wheels([wheel("l", 0.0, 0.4), wheel("r", 0.0, -0.4)])
+    calculator, zeros = General(geometry), (0.0, 0.0)
+    turn = JointStates(0.0, (3.0, 5.0), zeros, zeros)
+    unknown = calculator.odometry(turn)
+    assert (unknown.suspects, unknown.sliding, unknown.dropped) == ((), (), ())
+    calculator.command(unknown.twist)
+    assert calculator.odometry(turn).covariance == pytest.approx(np.array(unknown.covariance))
+    calculator.command(Twist(0.0, 0.0, 0.0))
+    assert calculator.odometry(turn).suspects  # a push, or wrong encoders
