@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import pytest
 
+from bench import consistency
+from bench.figure import ROOT
 from tests.examples import example_robot
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Brake, Robot
+from thorvaldc.runtime.calculators import Noise
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.control_loop import Segment
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
@@ -48,3 +52,25 @@ def test_rolling_radius_of_the_page_on_contacts(name: str) -> None:
     run = simulation.run(10.0, [Segment(0.0, Twist(0.8, 0.0, 0.0))], None, lambda loop: None)
     result = run.robots[0]
     assert result.path_odometry == pytest.approx(result.path_true, rel=2e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "row"),
+    list(zip(consistency.KINDS, ("white", "lasting 2 s", "wrong radii"), strict=True)),
+)
+def test_consistency_of_the_page_on_base_calculators(
+    kind: str, row: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With 30 runs of one robot in place of 200 of each."""
+    monkeypatch.setattr(consistency, "RUNS", 30)
+    page = (ROOT / "docs/base-calculators.md").read_text(encoding="utf-8")
+    stated = re.search(
+        rf"^\| {row}.*?\| ([\d.]+) to ([\d.]+) \| ([\d.]+) to ([\d.]+) \|", page, re.M
+    )
+    assert stated is not None
+    ends = [float(text) for text in stated.groups()]
+    results = consistency.study("4WD4WS", kind, [consistency.KINDS[kind], Noise()], 77.0)
+    for result, low, high in zip(results, ends[::2], ends[1::2], strict=True):
+        margin = 3.0 * result.pose_error
+        assert low - margin < result.pose < high + margin

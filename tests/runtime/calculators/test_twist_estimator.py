@@ -264,7 +264,9 @@ def test_weights_of_the_fit_are_those_of_the_assumed_noise() -> None:
 
 def test_a_calculator_that_commanded_nothing_suspects_no_wheel() -> None:
     """What a robot was commanded is unknown then, and not zero: two wheels in a turn differ."""
-    geometry = BaseGeometry.from_wheels([wheel("l", 0.0, 0.4), wheel("r", 0.0, -0.4)])
+    geometry = BaseGeometry.from_wheels(
+        [wheel("l", 0.0, 0.4, "fixed"), wheel("r", 0.0, -0.4, "fixed")]
+    )
     calculator, zeros = General(geometry), (0.0, 0.0)
     turn = JointStates(0.0, (3.0, 5.0), zeros, zeros)
     unknown = calculator.odometry(turn)
