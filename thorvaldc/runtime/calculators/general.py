@@ -96,7 +96,6 @@ class General(BaseCalculator):
         self._skid = SkidSteering.from_geometry(geometry, self._fixed)
         self._length2 = geometry.length**2
         self._motors = DriveMotors(geometry)
-        self._has_commanded = False
         self._has_shared_motors = bool(geometry.spin_groups)
         self._zeros = (0.0,) * len(wheels)
         self._steering = tuple(
@@ -164,11 +163,10 @@ class General(BaseCalculator):
         self._turns_around, self._aligned = previous._turns_around, previous._aligned
         self._reachable.resume(previous._reachable)
         self._motors.resume(previous._motors)
-        self._has_commanded = previous._has_commanded
 
     @property
     def commanded_speeds(self) -> Sequence[float] | None:
-        return self._motors.commanded_speeds if self._has_commanded else None
+        return self._motors.commanded_speeds if self._motors.has_commanded else None
 
     def feasible(self, twist: Twist) -> Twist:
         return self._reachable.feasible(twist)
@@ -180,7 +178,6 @@ class General(BaseCalculator):
         self, twist: Twist, states: JointStates | None = None, dt: float | None = None
     ) -> BaseCommand:
         self._check(twist, states, dt)
-        self._has_commanded = True
         target, infeasible = twist, ZERO_TWIST
         unreachable: tuple[int, ...] = ()
         if not self._unconstrained:
@@ -236,7 +233,6 @@ class General(BaseCalculator):
         )
 
     def stop(self, dt: float, measured: JointStates | None = None) -> BaseCommand:
-        self._has_commanded = True
         for joint in self._steering:
             joint.brake(dt)
         self._store_angles()

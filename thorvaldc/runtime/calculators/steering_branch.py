@@ -342,6 +342,7 @@ class DriveMotors:
 
     - ``rolling_speeds``: last commanded speeds (rad/s) without the speeds that turning steering
       joints add.
+    - ``has_commanded``: false until the first command, when the wheels may have any speed.
     """
 
     def __init__(self, geometry: BaseGeometry) -> None:
@@ -353,6 +354,7 @@ class DriveMotors:
         self._encoders = tuple(i for i, w in enumerate(geometry.wheels) if w.encoder)
         self._shared = geometry.spin_groups
         self._zeros = (0.0,) * len(geometry.wheels)
+        self.has_commanded = False
         self.reset()
 
     def reset(self) -> None:
@@ -364,6 +366,7 @@ class DriveMotors:
 
     def resume(self, previous: DriveMotors) -> None:
         """Copies the last commanded wheel speeds and twist from ``previous``."""
+        self.has_commanded = previous.has_commanded
         self._speeds, self._pushes = previous._speeds, previous._pushes
         self.rolling_speeds, self.twist = previous.rolling_speeds, previous.twist
 
@@ -391,6 +394,7 @@ class DriveMotors:
         backwards, raises and reverses nothing.  ``pushes``: part of the speeds (rad/s) that the
         steering joints, which still turn, ask for; a later command goes on from it.
         """
+        self.has_commanded = True
         twist, speeds = self.twist, self._speeds
         time = max(twist.speed / decelerations[0], abs(twist.wz) / decelerations[1])
         for i, _, acceleration in self._limits:
@@ -468,6 +472,7 @@ class DriveMotors:
             if share < 1.0:
                 speeds = [u + share * (v - u) for v, u in zip(speeds, last_speeds, strict=True)]
                 twist = self.twist.towards(twist, share)
+        self.has_commanded = True
         self.twist, self.rolling_speeds, self._pushes = twist, speeds, pushes
         if pushes is not self._zeros:
             speeds = [v + p for v, p in zip(speeds, pushes, strict=True)]
