@@ -45,7 +45,7 @@ _EARLY = 0.25
 """Share of a period by which joint states may come early: stamps are not quite regular."""
 _DELIVERY = 0.1  # s, real time
 _HEARTBEAT = 0.035
-"""Least time (s) between two heartbeats for the guard, which misses them after ``LONGEST_SILENCE``."""
+"""Least time (s) between two heartbeats for the guard, which misses them after 0.2 s."""
 
 
 class TopicBase(BaseHandle):
