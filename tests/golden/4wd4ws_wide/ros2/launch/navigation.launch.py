@@ -61,15 +61,11 @@ def generate_launch_description():
             [
                 SetParameter("use_sim_time", LaunchConfiguration("use_sim_time")),
                 IncludeLaunchDescription(
-                    PythonLaunchDescriptionSource(
-                        os.path.join(SHARE, "launch", "slam.launch.py")
-                    ),
+                    PythonLaunchDescriptionSource(os.path.join(SHARE, "launch", "slam.launch.py")),
                     condition=IfCondition(EqualsSubstitution(localization, "slam")),
                 ),
                 IncludeLaunchDescription(
-                    PythonLaunchDescriptionSource(
-                        os.path.join(SHARE, "launch", "gnss.launch.py")
-                    ),
+                    PythonLaunchDescriptionSource(os.path.join(SHARE, "launch", "gnss.launch.py")),
                     condition=IfCondition(EqualsSubstitution(localization, "gnss")),
                 ),
                 node("nav2_controller", "controller_server", remappings=out),
