@@ -26,6 +26,9 @@ NAMESPACE = "{{ namespace }}"
 def generate_launch_description():
     """Return what this file starts."""
     nav2 = os.path.join(SHARE, "config", "nav2.yaml")
+    # % if map_sources
+    launch = os.path.join(SHARE, "launch")
+    # % endif
     localization = LaunchConfiguration("localization")
     stamped = {
         "enable_stamped_cmd_vel": ParameterValue(LaunchConfiguration("stamped"), value_type=bool)
@@ -65,9 +68,7 @@ def generate_launch_description():
                 SetParameter("use_sim_time", LaunchConfiguration("use_sim_time")),
                 # % for source in map_sources
                 IncludeLaunchDescription(
-                    PythonLaunchDescriptionSource(
-                        os.path.join(SHARE, "launch", "{{ source }}.launch.py")
-                    ),
+                    PythonLaunchDescriptionSource(os.path.join(launch, "{{ source }}.launch.py")),
                     condition=IfCondition(EqualsSubstitution(localization, "{{ source }}")),
                 ),
                 # % endfor

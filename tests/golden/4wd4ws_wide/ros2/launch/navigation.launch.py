@@ -23,6 +23,7 @@ NAMESPACE = ""
 def generate_launch_description():
     """Return what this file starts."""
     nav2 = os.path.join(SHARE, "config", "nav2.yaml")
+    launch = os.path.join(SHARE, "launch")
     localization = LaunchConfiguration("localization")
     stamped = {
         "enable_stamped_cmd_vel": ParameterValue(LaunchConfiguration("stamped"), value_type=bool)
@@ -61,11 +62,11 @@ def generate_launch_description():
             [
                 SetParameter("use_sim_time", LaunchConfiguration("use_sim_time")),
                 IncludeLaunchDescription(
-                    PythonLaunchDescriptionSource(os.path.join(SHARE, "launch", "slam.launch.py")),
+                    PythonLaunchDescriptionSource(os.path.join(launch, "slam.launch.py")),
                     condition=IfCondition(EqualsSubstitution(localization, "slam")),
                 ),
                 IncludeLaunchDescription(
-                    PythonLaunchDescriptionSource(os.path.join(SHARE, "launch", "gnss.launch.py")),
+                    PythonLaunchDescriptionSource(os.path.join(launch, "gnss.launch.py")),
                     condition=IfCondition(EqualsSubstitution(localization, "gnss")),
                 ),
                 node("nav2_controller", "controller_server", remappings=out),
