@@ -1,6 +1,6 @@
 """A public implementation of PPO (stable-baselines3) learns to drive to a goal.
 
-    pip install stable-baselines3 'thorvaldc[gym]'
+    pip install stable-baselines3
     python -m bench learning
 
 The policy sees the goal in the frame of the odometry, and the measured twist.  Its twists pass

@@ -23,8 +23,13 @@ PERIOD = 0.02  # s
 SOURCE = "auto_nav"
 NAMES = {
     "rclpy": (),
+    "rclpy.clock": ("Clock", "ClockType"),
     "rclpy.duration": ("Duration",),
+    "rclpy.node": ("Node",),
+    "rclpy.parameter": ("Parameter",),
     "rclpy.qos": ("QoSProfile", "ReliabilityPolicy"),
+    "rcl_interfaces": (),
+    "rcl_interfaces.msg": ("FloatingPointRange", "ParameterDescriptor", "SetParametersResult"),
     "sensor_msgs": (),
     "sensor_msgs.msg": ("JointState",),
     "std_msgs": (),
@@ -32,7 +37,8 @@ NAMES = {
     "builtin_interfaces": (),
     "builtin_interfaces.msg": ("Time",),
 }
-"""Modules of ROS and their classes that the base uses."""
+"""Modules of ROS and their classes that the base and the guard use."""
+MODULES = ("topic_base", "joint_messages", "joint_guard", "node_parameters")
 
 
 class _Message(SimpleNamespace):
@@ -41,15 +47,18 @@ class _Message(SimpleNamespace):
 
 
 @contextlib.contextmanager
-def without_ros() -> Iterator[None]:
-    """Lets the base be imported where no ROS is installed."""
+def without_ros(**members: Any) -> Iterator[None]:
+    """Lets the base and the guard be imported where no ROS is installed.
+
+    ``members``: stand-ins for other classes of ROS, by name.
+    """
     modules = {}
     for name, classes in NAMES.items():
         modules[name] = ModuleType(name)
         for each in classes:
-            setattr(modules[name], each, _Message)
+            setattr(modules[name], each, members.get(each, _Message))
     modules["rclpy.qos"].ReliabilityPolicy = SimpleNamespace(BEST_EFFORT=1)  # type: ignore[attr-defined]
-    bases = ("thorvaldc.ros.topic_base", "thorvaldc.ros.joint_messages")
+    bases = [f"thorvaldc.ros.{name}" for name in MODULES]
     known = {name: sys.modules.pop(name, None) for name in bases}
     try:
         with mock.patch.dict(sys.modules, modules):

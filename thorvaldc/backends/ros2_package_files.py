@@ -107,12 +107,9 @@ def package_files(
         "has_driver": has_driver,
         "folders": sorted({posixpath.dirname(path) for path in files} - {"", package}),
     }
-    names = ("package.xml", "setup.py", "setup.cfg", "test_package.py")
-    texts = [_TEMPLATES.render(name, **values).encode() for name in names]
-    return {
-        **dict(zip((*names[:3], f"test/{names[3]}"), texts, strict=True)),
-        f"resource/{package}": b"",
-    }
+    paths = ("package.xml", "setup.py", "setup.cfg", "test/test_package.py")
+    texts = {path: _TEMPLATES.render(posixpath.basename(path), **values) for path in paths}
+    return {path: text.encode() for path, text in texts.items()} | {f"resource/{package}": b""}
 
 
 def driver_module(robot: Robot) -> dict[str, bytes]:

@@ -135,8 +135,8 @@ def source_topic(robot: Robot, name: str) -> str:
 
 
 WORLD_FRAME = "world"
-"""Frame of the true poses of Gazebo. Its ``OdometryPublisher`` sends poses in the world, also for a
-robot that was not placed at its origin, and ignores the frame that it is given."""
+"""Frame of the true poses of Gazebo: its ``OdometryPublisher`` sends poses in the world, whatever
+frame it is told to write into the messages."""
 
 
 def odom_frame(robot: Robot) -> str:

@@ -14,8 +14,7 @@ from itertools import pairwise
 
 from thorvaldc.backends import Backend, description_parts, sdf_extra_sensors, sdf_robot
 from thorvaldc.backends.xml_writer import Element, to_bytes
-from thorvaldc.diagnostics import Diagnostic
-from thorvaldc.diagnostics.codes import CODES
+from thorvaldc.diagnostics import CODES, Diagnostic
 from thorvaldc.model import Fleet, Ground, Pose, Robot, World
 from thorvaldc.model.sensor_numbers import WORLD_ORIGIN
 from thorvaldc.model.statics.standing import stands_without_couplings
@@ -53,8 +52,8 @@ class Sdf(Backend):
             names = ", ".join(f"`{joint.name}`" for joint in coupled)
             yield Diagnostic(
                 CODES["coupling-left-out"],
-                f"SDF {VERSION} has no couplings: in Gazebo {names} turns freely, and the robot"
-                " does not stand",
+                f"SDF {VERSION} has no couplings: nothing couples {names} in Gazebo, and the robot"
+                " does not stand there",
                 coupled[0].span,
                 "simulate it in MuJoCo",
             )

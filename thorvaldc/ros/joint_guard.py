@@ -3,11 +3,13 @@
 Gazebo and the controllers of ros2_control keep the last command for ever.  If the process of the
 base driver ends without a last command, the robot would drive on.  This node, in a process of its
 own, hears the heartbeat of the base driver, and commands the speed 0 to all drives while it is
-missing.  It measures the time by the clock of ROS, so that a paused simulation is no silence.  A
+missing.  In a simulation it measures the time by ``/clock``, so that a pause is no silence.  A
 driver that lives without joint states stops the drives itself.
 
 A message costs a node in Python a millisecond, and ``/clock`` comes 100 times per second.  So the
-guard hears it only while the heartbeat is late in real time; the heartbeat has a stamp.
+guard hears it only while the heartbeat is late in real time, and compares it with the stamp of the
+last heartbeat.  Without a simulation, the real time since the arrival of the heartbeat counts: the
+clocks of two computers differ.
 """
 
 from __future__ import annotations
@@ -28,7 +30,8 @@ from thorvaldc.ros.node_parameters import declared, load_robot_model
 
 NODE_NAME = "joint_guard"
 LONGEST_SILENCE = 0.2
-"""Time (s) of ROS without a heartbeat of the base driver after which the drives are stopped."""
+"""Time (s) without a heartbeat of the base driver after which the drives are stopped; in a fast
+simulation not before ``_LATE`` in real time."""
 _PERIOD = 0.05
 """Real time (s) between two looks at the heartbeat, and two commands to silent drives."""
 _LATE = 0.1
@@ -46,8 +49,10 @@ class JointGuard(Node):  # type: ignore[misc]
         model_file, dialect = (declared(self, name) for name in ("model_file", "joint_topics"))
         self.values = {"autostart": False}
         self._commands = JointCommandTopics(self, load_robot_model(model_file), dialect)
-        self._heard = self._looked_at = -math.inf  # times of ROS
-        self._heard_at = self._late_at = time.monotonic()
+        self._heard_at = -math.inf  # real time
+        self._stamp = -math.inf  # of the last heartbeat, s
+        self._late_at = 0.0  # real time
+        self._clock_was = 0.0  # s
         self._stops = False
         self._is_simulated = bool(self.get_parameter("use_sim_time").value)
         qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -55,23 +60,18 @@ class JointGuard(Node):  # type: ignore[misc]
         self.create_timer(_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _hear(self, message: Any) -> None:
-        self._heard = message.sec + message.nanosec * 1e-9
+        self._stamp = message.sec + message.nanosec * 1e-9
         self._heard_at = time.monotonic()
 
     def _watch(self) -> None:
         now = time.monotonic()
-        if now - self._heard_at > _LATE:
+        silence = now - self._heard_at
+        is_late = silence > _LATE
+        if is_late:
             self._late_at = now
-        self._hear_clock(self._is_simulated and now - self._late_at < _CALM)
-        if now > self._late_at:
-            self._stops, self._looked_at = False, -math.inf
-            return
-        time_of_ros = float(self.get_clock().now().nanoseconds) * 1e-9
-        # The first look after a calm time may see the time that was heard last.
-        if time_of_ros < self._looked_at:  # a jump back
-            self._heard = min(self._heard, time_of_ros)
-        self._looked_at = time_of_ros
-        silence = time_of_ros - self._heard
+        if self._is_simulated:
+            self._hear_clock(now - self._late_at < _CALM)
+            silence = self._simulated_silence() if is_late else 0.0
         stops = silence > LONGEST_SILENCE
         if stops and not self._stops and math.isfinite(silence):
             self.get_logger().warning("the base driver is silent: the drives are stopped")
@@ -79,9 +79,21 @@ class JointGuard(Node):  # type: ignore[misc]
         if stops:
             self._commands.stop()
 
+    def _simulated_silence(self) -> float:
+        """Returns the time (s) of ``/clock`` since the last heartbeat."""
+        clock = self._clock()
+        if clock != self._clock_was:  # it runs; a stamp ahead of it is of the time before a reset
+            self._stamp = min(self._stamp, clock)
+            self._clock_was = clock
+        return clock - self._stamp
+
     def _hear_clock(self, hears: bool) -> None:
         if hears != self.get_parameter("use_sim_time").value:
             self.set_parameters([Parameter("use_sim_time", value=hears)])
+            self._clock_was = self._clock()  # the time that was heard last
+
+    def _clock(self) -> float:
+        return float(self.get_clock().now().nanoseconds) * 1e-9
 
     # -- as the node of the base driver, see ``run_nodes`` -----------------------------------------
 

@@ -238,7 +238,7 @@ def test_the_formats_contain_the_coupling(shop: Workshop) -> None:
     assert 'joint1="right_pivot" joint2="left_pivot" polycoef="0.01745329' in mjcf
     (diagnostic,) = Sdf().unsupported(robot)
     assert diagnostic.code.name == "coupling-left-out"
-    assert "`right_pivot` turns freely" in diagnostic.message
+    assert "nothing couples `right_pivot` in Gazebo" in diagnostic.message
 
 
 def test_a_module_couples_its_own_joints(shop: Workshop) -> None:

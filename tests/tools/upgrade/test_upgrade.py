@@ -312,9 +312,12 @@ def test_the_result_as_json(thorvaldc: Command, beam: Path) -> None:
     assert upgraded["file"] == str(beam)
     assert upgraded["changes"] == {"dimensions": 3}
     assert upgraded["difference"].startswith(f"--- {beam}\n+++ {beam}\n@@")
+    assert not upgraded["written"]
+    assert beam.read_text(encoding="utf-8") == BEAM
     Path("robot.yaml").write_text(GOOD, encoding="utf-8")
     output = json.loads(thorvaldc("upgrade", "--json", str(beam), "robot.yaml").out)
     assert [upgraded["difference"] for upgraded in output["upgrades"]] == ["", ""]
+    assert [upgraded["written"] for upgraded in output["upgrades"]] == [True, False]
     assert {d["code"] for d in output["diagnostics"]} == {"TV976"}
     assert beam.read_text(encoding="utf-8") == PRESENT_BEAM
 
@@ -383,6 +386,10 @@ def test_a_full_disk_leaves_the_file(thorvaldc: Command, beam: Path) -> None:
     assert result.status == 3
     assert f"error: {beam}: File too large; it is unchanged\n" in result.err
     assert result.out == "good.yaml: nothing to change\n"
+    with full_disk(100):
+        result = thorvaldc("upgrade", "--json", str(beam))
+    assert result.status == 3
+    assert [upgraded["written"] for upgraded in json.loads(result.out)["upgrades"]] == [False]
     assert beam.read_text(encoding="utf-8") == BEAM
     assert [path.name for path in beam.parent.iterdir()] == ["module.yaml"]
 

@@ -44,7 +44,7 @@ def fact_tables(facts: RobotFacts) -> tuple[FactTable, ...]:
         _size(facts.size),
         _mass(facts),
         _wheels(facts.wheels, facts.soil),
-        _stability(facts.stability, facts.center_of_mass[2]),
+        _stability(facts.stability),
         _driving(facts.driving),
         _energy(facts.energy),
         _slopes(facts.slopes),
@@ -234,7 +234,7 @@ def _load_range(wheel: WheelLoad) -> str:
     return f"{low:.0f} to {high:.0f}"
 
 
-def _stability(stability: Stability, height: float) -> FactTable:
+def _stability(stability: Stability) -> FactTable:
     title, least = "Tip-over angles", stability.least
     if least is None:
         reason = (
@@ -250,8 +250,7 @@ def _stability(stability: Stability, height: float) -> FactTable:
             *((name, _angle(angle)) for name, angle in stability.angles),
             ("least", f"{_angle(least.angle)} ({_direction(least.direction)})"),
         ],
-        f"Rigid robot with the centre of mass {height:.3f} m above the ground; suspension, "
-        "tyres and loose loads lower the angles.",
+        "Those of a rigid robot; suspension, tyres and loose loads lower the angles.",
     )
 
 

@@ -24,7 +24,7 @@ from thorvaldc.model.statics.joint_tree import (
     JointTree,
     held_joints,
     hinges,
-    lever_of,
+    lift_of,
     tree_of,
 )
 from thorvaldc.model.statics.standing import find_standing
@@ -199,7 +199,7 @@ def _pivot(
     if len(joints) != 1 or len(wheels) > 2:
         return None
     first, second = wheels[0], wheels[-1]
-    a, b = (lever_of(tree, joints[0], wheel) for wheel in (first, second))
+    a, b = (lift_of(tree, joints[0], *w.contact_point) for w in (first, second))
     if max(abs(a), abs(b)) <= SHORTEST_LEVER:
         share = 0.5
     elif a * b < 0.0:

@@ -118,6 +118,25 @@ def _joint_motion(joint: Joint, position: float) -> Pose:
     return Pose(quat=spatial.quat_from_axis_angle(joint.axis, position))
 
 
+def lift(joint: Joint, frame: tuple[Vec3, Vec3], x: float, y: float) -> float:
+    """Return the lift in m of a point below a joint for a motion of the joint by 1 rad or 1 m.
+
+    It is also the moment (N m) or the force (N) on the joint of an upward force of 1 N at the
+    point.
+
+    - ``frame``: origin and axis of the joint.
+    - ``x``, ``y``: the point in m, in the frame of ``frame``.
+    """
+    (ox, oy, _), (ax, ay, az) = frame
+    return az if joint.type == "prismatic" else ax * (y - oy) - ay * (x - ox)
+
+
+def lift_of(tree: JointTree, joint: Joint, x: float, y: float) -> float:
+    """Return the ``lift`` of a point in ``base_link``."""
+    pose = tree.pose[joint.child]
+    return lift(joint, (pose.xyz, pose.rotate(joint.axis)), x, y)
+
+
 class RigidGroups:
     """The links of a robot in groups that move as one body.
 
@@ -206,16 +225,6 @@ class RigidGroups:
                     )
                 )
         return transforms, frames
-
-    @staticmethod
-    def lift(joint: Joint, frame: tuple[Vec3, Vec3], x: float, y: float) -> float:
-        """Return how far a joint lifts a point that it carries, per rad or m.
-
-        - ``frame``: origin and axis of the joint in the world.
-        - ``x``, ``y``: the point in the world in m.
-        """
-        (ox, oy, _), (ax, ay, az) = frame
-        return az if joint.type == "prismatic" else ax * (y - oy) - ay * (x - ox)
 
 
 # -- coordinates of the joints that nothing drives: rockers, suspensions, pendulums --------------
@@ -330,7 +339,7 @@ def coordinates_of(
         joint.name
         for wheel in wheels
         for joint in hinges(tree, wheel.link, immobile)
-        if abs(lever_of(tree, joint, wheel)) > SHORTEST_LEVER
+        if abs(lift_of(tree, joint, *wheel.contact_point)) > SHORTEST_LEVER
     }
     groups: dict[str, list[Member]] = {}
     stopped_groups = set()
@@ -366,7 +375,9 @@ def hinges(tree: JointTree, link: str, stopped: Collection[str]) -> list[Joint]:
     """Return the joints of extras above a link that turn about another axis than the vertical, such
     as the pitch of a drawbar, from the link to the base.
 
-    Links that roll are left out.  ``stopped``: names of joints that something holds.
+    The joint about which the link itself rolls is left out.
+
+    - ``stopped``: names of joints that something holds.
     """
     return [
         joint
@@ -377,13 +388,6 @@ def hinges(tree: JointTree, link: str, stopped: Collection[str]) -> list[Joint]:
         and joint.name not in stopped
         and math.hypot(*tree.pose[joint.child].rotate(joint.axis)[:2]) > _LEANING
     ]
-
-
-def lever_of(tree: JointTree, joint: Joint, wheel: Wheel) -> float:
-    """Return the moment (N m) about a joint of an upward force of 1 N on a wheel."""
-    pose, (x, y) = tree.pose[joint.child], wheel.contact_point
-    axis = pose.rotate(joint.axis)
-    return axis[0] * (y - pose.xyz[1]) - axis[1] * (x - pose.xyz[0])
 
 
 def _joints_above(tree: JointTree, link: str) -> list[str]:

@@ -226,7 +226,7 @@ class _Body:
         for g in self.paths[group]:
             k, member = self.owners[g - 1]
             joint = self.groups.joints[g - 1]
-            lift[3 + k] += member.ratio * self.groups.lift(joint, frames[g], x, y)
+            lift[3 + k] += member.ratio * trees.lift(joint, frames[g], x, y)
         return lift
 
 
@@ -536,6 +536,7 @@ def spring_loads(
     return joints, loads
 
 
+@once_per_model
 def stands_without_couplings(robot: Robot) -> bool:
     """Return whether a robot stands in the same pose if no joint follows another one, as in a
     format that cannot say so; true for a robot that does not stand anyway."""

@@ -205,7 +205,7 @@ class _Stance(joint_tree.RigidGroups):
             path = self.paths[footing.group + 2]
             lift = [1.0, y - by, bx - x]
             lift += [
-                self.lift(self.joints[unknown - 3], forces.frames[unknown - 2], x, y)
+                joint_tree.lift(self.joints[unknown - 3], forces.frames[unknown - 2], x, y)
                 for unknown in path[3:]
             ]
             for i, unknown in enumerate(path):

@@ -23,7 +23,13 @@ from typing import NamedTuple
 
 from thorvaldc.model import Inertial, Joint, Vec3, Wheel
 from thorvaldc.model.spatial import GRAVITY, clean
-from thorvaldc.model.statics.joint_tree import JointTree, coordinates_of, coupled_joints
+from thorvaldc.model.statics.joint_tree import (
+    JointTree,
+    coordinates_of,
+    coupled_joints,
+    lift,
+    lift_of,
+)
 from thorvaldc.model.sums import float_sum
 
 
@@ -41,11 +47,6 @@ class Pivot(NamedTuple):
 
     levers: tuple[float, ...]
     moment: float
-
-
-def _lever(origin: Vec3, axis: Vec3, x: float, y: float) -> float:
-    """Returns the moment, about an axis through ``origin``, of an upward force of 1 N at (x, y)."""
-    return axis[0] * (y - origin[1]) - axis[1] * (x - origin[0])
 
 
 def free_pivots(
@@ -78,13 +79,13 @@ def free_pivots(
             below = tree.links_below(joint.child)
             links = set(below)
             pose = tree.pose[joint.child]
-            axis, origin = pose.rotate(joint.axis), moved(pose.xyz)
+            frame = moved(pose.xyz), pose.rotate(joint.axis)
             for i, wheel in enumerate(wheels):
                 if wheel.link in links:
-                    levers[i] += ratio * _lever(origin, axis, *wheel.contact_point)
+                    levers[i] += ratio * lift(joint, frame, *wheel.contact_point)
             carried = tree.inertial(below)
             x, y, _ = moved(carried.com)
-            lever = _lever(origin, axis, x, y)
+            lever = lift(joint, frame, x, y)
             moment += ratio * carried.mass * GRAVITY * lever
         if max(map(abs, levers), default=0.0) >= 1e-6:
             pivots.append(Pivot(tuple(levers), moment))
@@ -264,16 +265,6 @@ def spring_rates(tree: JointTree, wheels: Sequence[Wheel]) -> list[float]:
         )
         rates.append(1.0 / softness if softness > 0.0 else math.inf)
     return rates
-
-
-def lift_of(tree: JointTree, joint: Joint, x: float, y: float) -> float:
-    """Returns the lift of a point below a joint in m for a motion of the joint by 1 rad or 1 m.
-
-    It is also the moment (N m) or the force (N) on the joint of an upward force of 1 N at (x, y).
-    """
-    pose = tree.pose[joint.child]
-    axis = pose.rotate(joint.axis)
-    return axis[2] if joint.type == "prismatic" else _lever(pose.xyz, axis, x, y)
 
 
 # -- linear programs with a feasible origin, solved by the simplex method -----------------------

@@ -51,15 +51,22 @@ def upgrade(
         errors.extend(result.report.errors)
         output.add(errors, sources)
         decisions.extend(d for d in result.report if d not in result.report.errors)
-        difference = result.difference() if result.is_changed and dry_run else ""
-        if difference:
-            status = max(status, INPUT)
-        elif result.is_changed and not _write(result):
+        difference = result.difference() if dry_run else ""
+        is_due = result.is_changed and not dry_run
+        is_written = is_due and _write(result)
+        if is_due and not is_written:
             status = OUTSIDE
-            continue
-        changes = dict(result.changes)
-        upgrades.append({"file": str(path), "changes": changes, "difference": difference})
-        if json:
+        elif difference:
+            status = max(status, INPUT)
+        upgrades.append(
+            {
+                "file": str(path),
+                "changes": dict(result.changes),
+                "difference": difference,
+                "written": is_written,
+            }
+        )
+        if json or is_due != is_written:
             continue
         sys.stdout.write(difference)
         if result.before is not None:

@@ -64,9 +64,14 @@ def other_build(context):
             f"model is {model}; expected ros2/config/model.json of a build that has the launch"
             f" file {os.path.basename(__file__)}"
         )
+    # The group keeps the settings from what is started later.
     return [
-        SetLaunchConfiguration("driver_package", PACKAGE),
-        IncludeLaunchDescription(
-            PythonLaunchDescriptionSource(launch), launch_arguments={"model": ""}.items()
-        ),
+        GroupAction(
+            [
+                SetLaunchConfiguration("driver_package", PACKAGE),
+                IncludeLaunchDescription(
+                    PythonLaunchDescriptionSource(launch), launch_arguments={"model": ""}.items()
+                ),
+            ]
+        )
     ]
