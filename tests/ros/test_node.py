@@ -81,6 +81,10 @@ def end(process: ChildProcess) -> str:
     return str(err)
 
 
+def test_the_nodes_use_no_name_of_rclpy(distro: str, tmp_path: Path) -> None:
+    run_client(distro, "node_names", tmp_path)
+
+
 def test_battery_messages(distro: str, tmp_path: Path) -> None:
     run_client(distro, "battery_messages", tmp_path)
 

@@ -81,7 +81,7 @@ class JointGuard(Node):  # type: ignore[misc]
 
     def _simulated_silence(self) -> float:
         """Returns the time (s) of ``/clock`` since the last heartbeat."""
-        clock = self._clock()
+        clock = self._ros_time()
         if clock != self._clock_was:  # it runs; a stamp ahead of it is of the time before a reset
             self._stamp = min(self._stamp, clock)
             self._clock_was = clock
@@ -90,9 +90,9 @@ class JointGuard(Node):  # type: ignore[misc]
     def _hear_clock(self, hears: bool) -> None:
         if hears != self.get_parameter("use_sim_time").value:
             self.set_parameters([Parameter("use_sim_time", value=hears)])
-            self._clock_was = self._clock()  # the time that was heard last
+            self._clock_was = self._ros_time()  # the time that was heard last
 
-    def _clock(self) -> float:
+    def _ros_time(self) -> float:
         return float(self.get_clock().now().nanoseconds) * 1e-9
 
     # -- as the node of the base driver, see ``run_nodes`` -----------------------------------------
