@@ -91,11 +91,33 @@ def run_nodes(factories: Sequence[Callable[[], Any]], ended: Callable[[], bool])
                     if transition() != TransitionCallbackReturn.SUCCESS:
                         raise NodeError(node.problem)
         while not ended():
-            wait = min(node.wait() for node in nodes)
-            executor.spin_once(timeout_sec=min(max(wait, 0.0), LONGEST_WAIT))
+            longest = min(max(min(node.wait() for node in nodes), 0.0), LONGEST_WAIT)
+            if len(nodes) == 1:
+                longest = nodes[0].await_states(longest)
+            _run_ready(executor, longest)
             for node in nodes:
                 node.run_due()
     return 0
+
+
+def _run_ready(executor: Any, longest: float) -> None:
+    """Waits for messages for at most ``longest`` s, and runs the callbacks of all that are there.
+
+    ``Executor.spin_once`` waits before each callback; a wait costs more than the callback.
+    """
+    from rclpy.executors import ConditionReachedException, ShutdownException, TimeoutException
+
+    ran = False
+
+    def has_run() -> bool:
+        return ran
+
+    with contextlib.suppress(ConditionReachedException, ShutdownException, TimeoutException):
+        while True:
+            handler, _, _ = executor.wait_for_ready_callbacks(longest, None, has_run)
+            ran = True
+            handler()
+            handler.result()  # raises its error
 
 
 def _end(node: Any, executor: Any) -> None:

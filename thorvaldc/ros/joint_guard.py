@@ -100,6 +100,9 @@ class JointGuard(Node):  # type: ignore[misc]
     def wait(self) -> float:
         return math.inf
 
+    def await_states(self, longest: float) -> float:
+        return longest
+
     def run_due(self) -> None:
         return
 

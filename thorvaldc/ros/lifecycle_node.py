@@ -25,6 +25,7 @@ from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
@@ -84,6 +85,14 @@ class GuardedLifecycleNode(LifecycleNode):  # type: ignore[misc]
                 return response
 
         return answer
+
+    def create_publisher(self, kind: Any, topic: str, qos: Any, **options: Any) -> Any:
+        """Creates a publisher without the events of rclpy.
+
+        Each event costs every wait for a message; a subscriber that is not compatible says so too.
+        """
+        options.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
+        return super().create_publisher(kind, topic, qos, **options)
 
     def create_subscription(
         self, kind: Any, topic: str, callback: Any, *rest: Any, timed: bool = False, **options: Any
@@ -232,6 +241,17 @@ class BaseDriverNode(GuardedLifecycleNode):
         """Returns the real time (s) until ``run_due`` must be called."""
         report = self._next_report - time.monotonic()
         return report if self.robot is None else min(report, self.robot.wait())
+
+    def await_states(self, longest: float) -> float:
+        """Waits for joint states behind topics, at most ``longest`` s of real time.
+
+        Returns the time (s) that other messages may be awaited.  They are handled together, once
+        per control cycle, which saves most of the time that rclpy takes.
+        """
+        if self.robot is None or not isinstance(self.robot.base, TopicBase):
+            return longest
+        self.robot.base.poll(longest)
+        return 0.0
 
     def run_due(self) -> None:
         """Runs the control cycle and sends the messages that are due."""

@@ -161,7 +161,7 @@ class TopicBase(BaseHandle):
             if taken is None:
                 time.sleep(0.001)
             else:
-                self.take(taken[0])
+                self._subscription.callback(taken[0])  # an error in it does not end the node
 
     @property
     def now(self) -> float:
