@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import base64
 import gzip
+import hashlib
 import json
 import re
 import shutil
@@ -104,6 +105,7 @@ def main() -> int:
         for name, archive in (("app", "python.zip"), ("lib", "python_stdlib.zip")):
             command = ["node", "pack.mjs", str(Path(stage, name)), str(folder / archive)]
             subprocess.run(command, check=True, cwd=HERE)
+    write_service_worker(folder)
     return 0
 
 
@@ -155,6 +157,16 @@ def write_examples(folder: Path) -> None:
         if module is not None
     ]
     write(folder / "library.json", json.dumps({"examples": examples, "modules": modules}))
+
+
+def write_service_worker(folder: Path) -> None:
+    """Writes the script that keeps all files of the site, whose hash is its version."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    version = hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:16]
+    names = ["./", *(path.relative_to(folder).as_posix() for path in files)]
+    script = (HERE / "sw.js").read_text(encoding="utf-8")
+    script = script.replace("[] /*FILES*/", json.dumps(names))
+    write(folder / "sw.js", script.replace('"" /*VERSION*/', json.dumps(version)))
 
 
 def inputs(main: Path) -> list[Path]:

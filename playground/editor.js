@@ -73,6 +73,8 @@ export function create(parent, { onChange, complete, label }) {
     return { from: start + Math.min(...answer.proposals.map((proposal) => proposal.start)), options, filter: true };
   };
   const readOnly = new Compartment();
+  const states = new Map(); // of files that were shown, with their undo steps
+  let shown = "";
   const view = new EditorView({ parent });
   const extensions = [
     lineNumbers(), history(), drawSelection(), indentOnInput(), bracketMatching(), closeBrackets(), highlightActiveLine(), highlightSelectionMatches(),
@@ -90,10 +92,13 @@ export function create(parent, { onChange, complete, label }) {
   return {
     view,
     get text() { return view.state.doc.toString(); },
-    // Shows another file, without its undo steps.
-    open(text, isReadOnly) {
+    // Shows another file, with its undo steps if it is the text that was shown under this key.
+    open(text, isReadOnly, key) {
+      states.set(shown, view.state);
+      shown = key;
+      const state = states.get(key);
       isSilent = true;
-      view.setState(EditorState.create({ doc: text, extensions }));
+      view.setState(state?.doc.toString() === text ? state : EditorState.create({ doc: text, extensions }));
       view.dispatch({ effects: readOnly.reconfigure(EditorState.readOnly.of(isReadOnly)) });
       isSilent = false;
     },

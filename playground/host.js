@@ -1,16 +1,20 @@
 // The host of the page in the playground: a web worker with the compiler, see worker.js.  This
 // script also runs the workbench beside the picture: editor, modules and generated files.
 
-const LIMIT = 10000; // ms for one compilation; a worker that needs longer is ended
+const LIMIT = 10000; // least limit (ms) of one compilation; a worker that needs longer is ended
+const TIMES_LONGEST = 10; // the limit on a slow computer, in times of the longest compilation
 const PAUSE = 300; // ms without a key until the facts are computed
 const LONGEST_LINK = 30000; // characters
 const TARGETS = ["urdf", "mjcf", "sdf", "ros2", "can", "datasheet"];
 
 let worker = null, limit = null, describing = null, saving = null, requests = 0;
 let isReady = false, isCompiling = false, isBehind = false; // the worker has other files than the page
+let longest = 0, begun = 0; // ms: the longest compilation of this worker, and when the last one began
+let hasEnded = false; // the note on the screen is about a worker that ended
 const changed = new Set(); // files with a text that is not compiled
 let isOther = false; // the next model is another robot, not a changed one
 let files = new Map(), main = "", file = "", good = null, origin = "", last = [];
+let identity = ""; // of the robot on the screen, for the history and the storage of the browser
 const waiting = new Map(); // resolve functions of requests by their id
 
 // -- the worker --------------------------------------------------------------------------------------
@@ -38,6 +42,7 @@ function ask(kind, fields) {
 function startWorker() {
   status("starting the compiler…", false);
   isReady = isCompiling = false;
+  longest = 0;
   worker = new Worker("worker.js", { type: "module" });
   worker.onmessage = ({ data }) => receive(JSON.parse(data), wallClock());
   worker.onerror = (event) => endWorker(`the compiler ended: ${event.message ?? "no reason given"}`);
@@ -73,12 +78,16 @@ function showWhole() {
 function endWorker(reason) {
   clearTimeout(limit);
   worker.terminate();
-  if (!isReady) return status(`the compiler cannot be started: ${reason}`, true);
+  if (!isReady) {
+    window.addEventListener("online", startWorker, { once: true });
+    return status(`the compiler cannot be started: ${reason}`, true);
+  }
   for (const resolve of waiting.values()) resolve(null);
   waiting.clear();
   drive.switched({ on: false, message: "" });
   const text = reason.length > 200 ? `${reason.slice(0, 200)}…` : reason;
   note(`${text}. This is the last robot without errors; change the file to try again.`);
+  hasEnded = true;
   changed.clear();
   isBehind = good !== null;
   startWorker();
@@ -92,13 +101,19 @@ function compileAll({ files, main }) {
 
 function expect() {
   isCompiling = true;
+  begun = wallClock();
   clearTimeout(limit);
-  limit = setTimeout(() => endWorker(`the compilation took longer than ${LIMIT / 1000} s`), LIMIT);
+  if (!longest) return; // the first compilation also loads modules; another robot ends it
+  const most = Math.max(LIMIT, TIMES_LONGEST * longest);
+  limit = setTimeout(() => endWorker(`the compilation took longer than ${Math.round(most / 1000)} s`), most);
 }
 
 function compiled(message) {
   clearTimeout(limit);
   isCompiling = false;
+  longest = Math.max(longest, wallClock() - begun);
+  if (hasEnded && !isBehind) note("");
+  if (message.good) navigator.serviceWorker?.register("sw.js"); // keeps the page for a time without a network
   if (message.good && !changed.size && !isBehind) good = { files: new Map(files), main };
   last = message.diagnostics;
   if (!changed.size) mark();
@@ -124,6 +139,7 @@ function edited(text) {
   files.set(file, text);
   changed.add(file);
   note("");
+  keep(file);
   clearTimeout(describing);
   next();
   clearTimeout(saving);
@@ -136,8 +152,90 @@ const editor = ThorvaldEditor.create($("text"), {
   complete: (text, at) => (isReady ? ask("complete", { file, text, offset: at }) : null),
 });
 
-// Opens the files of a robot: texts, and bytes in base64 as a list of one text.
-function openFiles(content, mainFile, name, message = "") {
+// -- robots that are kept ----------------------------------------------------------------------------
+//
+// What somebody typed or opened is in the storage of the browser at once, under the identity of the
+// robot.  The history of the page has an entry for each robot that was opened, with its identity, so
+// that "back" returns to the one before.  A robot is written by one page only: another page copies it.
+
+const KEPT = "thorvaldc robot ", LOCK = "thorvaldc open ";
+let release = () => {}; // the lock of the robot on the screen
+
+// Keeps a file; the others of the robot are kept with the first one.
+function keep(...names) {
+  const robot = KEPT + identity;
+  try {
+    if (localStorage.getItem(robot) === null) names = [...files.keys()];
+    for (const name of names) localStorage.setItem(`${robot} ${name}`, JSON.stringify(files.get(name)));
+    localStorage.setItem(robot, JSON.stringify({ main, names: [...files.keys()], time: Date.now() }));
+  } catch (error) {
+    note(`This text is not kept (${error.name}): copy it, or remove robots from “my robots”.`);
+  }
+  $("example").value = "";
+}
+
+function keptRobot(id) {
+  const robot = JSON.parse(localStorage.getItem(KEPT + id));
+  if (!robot) return null;
+  const content = robot.names.map((name) => [name, JSON.parse(localStorage.getItem(`${KEPT}${id} ${name}`))]);
+  return { ...robot, id, files: Object.fromEntries(content) };
+}
+
+function keptIds() {
+  try {
+    return Object.keys(localStorage).filter((key) => /^thorvaldc robot \S+$/.test(key)).map((key) => key.slice(KEPT.length));
+  } catch {
+    return []; // a browser without storage
+  }
+}
+
+// Takes the lock of a robot for this page, and returns whether no other page has it.
+function hold(id) {
+  if (!navigator.locks) return Promise.resolve(true);
+  return new Promise((resolve) => navigator.locks.request(LOCK + id, { ifAvailable: true }, (lock) => {
+    resolve(lock !== null);
+    if (lock) return new Promise((free) => { release(); release = free; });
+  }));
+}
+
+async function openKept(id, isNew) {
+  if (id === identity) return;
+  const robot = keptRobot(id), isFree = await hold(id);
+  openFiles(robot.files, robot.main, "", isFree ? "" : "Another page has this robot open; this is a copy.", isFree ? id : newIdentity(), isNew);
+  if (!isFree) keep();
+}
+
+$("mine").addEventListener("click", () => {
+  const list = element("ul");
+  for (const robot of keptIds().map(keptRobot).sort((a, b) => b.time - a.time)) {
+    const item = element("li"), open = element("button"), remove = element("button", "remove");
+    const name = /^name:\s*(\S+)/m.exec(robot.files[robot.main])?.[1] ?? robot.main;
+    open.textContent = `${name}, ${new Date(robot.time).toLocaleString()}`;
+    open.addEventListener("click", () => { $("dialog").close(); openKept(robot.id, true); });
+    remove.disabled = robot.id === identity;
+    remove.addEventListener("click", () => {
+      if (!confirm(`Remove ${open.textContent}? It cannot be restored.`)) return;
+      for (const file of robot.names) localStorage.removeItem(`${KEPT}${robot.id} ${file}`);
+      localStorage.removeItem(KEPT + robot.id);
+      item.remove();
+    });
+    item.append(open, " ", remove);
+    list.append(item);
+  }
+  const text = list.children.length ? "Robots that were typed or opened here. They stay in this browser." : "No robot was typed or opened here yet.";
+  showDialog("My robots", element("p", text), list);
+});
+
+const newIdentity = () => Date.now().toString(36) + Math.random().toString(36).slice(2, 8);
+
+// Opens the files of a robot: texts, and bytes in base64 as a list of one text.  A new opening is an
+// entry in the history of the page.
+function openFiles(content, mainFile, name, message = "", id = newIdentity(), isNew = true) {
+  if (id !== identity) clearTimeout(saving);
+  identity = id;
+  if (isNew) history.pushState({ id }, "", name ? `#example=${name}` : "#");
+  else history.replaceState({ id }, "");
+  hold(id);
   files = new Map(Object.entries(content));
   main = file = mainFile;
   origin = name;
@@ -169,7 +267,7 @@ function showTabs() {
 function openTab(name) {
   file = name;
   const content = files.get(name);
-  editor.open(isText(content) ? content : "(no text)", !isText(content));
+  editor.open(isText(content) ? content : "(no text)", !isText(content), `${identity} ${name}`);
   for (const tab of $("tabs").children) tab.setAttribute("aria-selected", String(tab.textContent === name));
   mark();
 }
@@ -204,25 +302,32 @@ async function fragment() {
 }
 
 async function saveLink() {
-  const text = await fragment();
-  if (text.length <= LONGEST_LINK) history.replaceState(null, "", `#${text}`);
+  const id = identity, text = await fragment();
+  if (id === identity) history.replaceState({ id }, "", text.length <= LONGEST_LINK ? `#${text}` : "#");
 }
 
 const examples = new Map();
 async function example(name) {
   if (!examples.has(name)) examples.set(name, fetch(`examples/${name}.json`).then((response) => response.json()));
-  return examples.get(name);
+  try {
+    return await examples.get(name);
+  } catch (error) {
+    examples.delete(name);
+    throw error;
+  }
 }
 
+// Opens the robot of the entry in the history: the kept one, else that of the address.
 async function openLink() {
-  const [key, value] = location.hash.slice(1).split(/=(.*)/s);
+  const [key, value] = location.hash.slice(1).split(/=(.*)/s), id = history.state?.id;
+  if (id && keptIds().includes(id)) return openKept(id, false);
   let message = "";
   try {
     if (key === "robot") {
       const packed = bytesOf(value.replaceAll("-", "+").replaceAll("_", "/"));
       const all = JSON.parse(new TextDecoder().decode(await through(new DecompressionStream("deflate-raw"), packed)));
       if (!isText(all.files[all.main])) throw new Error("it has no robot file");
-      return openFiles(all.files, all.main, "");
+      return openFiles(all.files, all.main, "", "", id, false);
     }
   } catch (error) {
     message = `The link cannot be read (${error.message}); this is an example.`;
@@ -230,13 +335,13 @@ async function openLink() {
   const known = [...$("example").options].map((option) => option.value).filter(Boolean);
   const name = key === "example" && known.includes(value) ? value : known[0];
   const { files: content, main: mainFile } = await example(name);
-  openFiles(content, mainFile, name, message);
+  openFiles(content, mainFile, name, message, id, false);
 }
 
 $("share").addEventListener("click", async () => {
   const text = await fragment();
-  if (text.length > LONGEST_LINK) return note("The files are too large for a link.");
-  history.replaceState(null, "", `#${text}`);
+  if (text.length > LONGEST_LINK) return note("The files are too large for a link. They stay in this browser, see “my robots”.");
+  history.replaceState(history.state, "", `#${text}`);
   try {
     await navigator.clipboard.writeText(location.href);
     note(`The link to this robot is copied: ${location.href.length} characters.`);
@@ -265,17 +370,23 @@ $("chosen-files").addEventListener("change", async () => {
     const folder = main.split("/").slice(0, -1).map((part) => `${part}/`).join("");
     openFiles({ ...Object.fromEntries(files), ...Object.fromEntries(Object.entries(content).map(([name, data]) => [folder + name, data])) }, main, "");
   }
+  if (main) keep();
 });
 $("example").addEventListener("change", async () => {
   const name = $("example").value;
   if (!name) return;
-  const { files: content, main: mainFile } = await example(name);
-  openFiles(content, mainFile, name);
-  history.replaceState(null, "", `#example=${name}`);
+  try {
+    const { files: content, main: mainFile } = await example(name);
+    openFiles(content, mainFile, name);
+  } catch (error) {
+    $("example").value = "";
+    note(`${name} cannot be loaded (${error.message}). Is there a network?`);
+  }
 });
-window.addEventListener("hashchange", openLink);
+window.addEventListener("popstate", openLink);
 
 function note(text) {
+  hasEnded = false;
   $("note").textContent = text;
 }
 

@@ -70,7 +70,15 @@ let order = started; // messages are answered one after the other
 self.onmessage = ({ data }) => {
   order = order.then(async () => {
     const message = JSON.parse(data);
-    if (message.kind === "drive" && message.on) await (simulator ??= startSimulator());
+    if (message.kind === "drive" && message.on) {
+      try {
+        await (simulator ??= startSimulator());
+      } catch (error) {
+        simulator = null;
+        const text = `the simulator cannot be loaded (${error.message}); is there a network?`;
+        return postMessage(JSON.stringify({ kind: "drive", on: false, message: text }));
+      }
+    }
     playground.receive(data);
     if (message.kind === "drive" || timer !== null) timer ??= setInterval(drive, TICK);
   }).catch((error) => {

@@ -13,6 +13,7 @@ import sys
 import threading
 import urllib.request
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -442,3 +443,52 @@ def test_the_link_of_a_page_is_the_link_of_the_documentation(visit: Visit) -> No
     assert page.inner_text("#title") == "linked"
     assert page.evaluate("editor.text") == text
     assert json.loads(page.evaluate("JSON.stringify([...files.keys()])")) == ["robot.yaml"]
+
+
+def drives(page: Page) -> None:
+    page.click("#drive")
+    page.wait_for_selector("#drive[aria-pressed=true]", timeout=WAIT)
+
+
+def test_the_page_works_without_a_network(visit: Visit) -> None:
+    page = visit()
+    page.evaluate("navigator.serviceWorker.ready.then(() => 1)")
+    page.context.set_offline(True)
+    page.reload()
+    page.wait_for_selector("html[data-version]", timeout=WAIT)
+    open_example(page, "2wd0ws_greenhouse")
+    drives(page)
+
+
+def test_what_the_network_lacks_is_named_until_it_is_there(visit: Visit) -> None:
+    page = visit(service_workers="block")
+    page.context.set_offline(True)
+    page.select_option("#example", "9wd9ws")
+    wait_until(page, lambda: "9wd9ws cannot be loaded" in page.inner_text("#note"))
+    page.click("#drive")
+    state = "document.querySelector('#drive-state').textContent"
+    wait_until(page, lambda: "simulator cannot be loaded" in page.evaluate(state))
+    write(page, TEXT + "# the compiler is still there\n")
+    before = version(page)
+    wait_until(page, lambda: version(page) > before)
+    page.context.set_offline(False)
+    drives(page)
+    open_example(page, "9wd9ws")
+    assert page.inner_text("#note") == ""
+
+
+def test_the_first_compilation_has_no_limit_and_another_robot_ends_it(visit: Visit) -> None:
+    files = {name: data for name, data in robot_with_meshes().items() if not name.endswith(".stl")}
+    texts = {name: data.decode() for name, data in files.items()}
+    texts["top.xacro"] = texts["top.xacro"].replace("${0.2 + sin(0.5)}", HUNGRY["hangs"])
+    robot = json.dumps({"main": "robot.yaml", "files": texts}).encode()
+    packed = zlib.compressobj(wbits=-15)
+    link = base64.urlsafe_b64encode(packed.compress(robot) + packed.flush()).decode().rstrip("=")
+    page = visit(f"#robot={link}", robot=False)
+    wait_until(page, lambda: page.evaluate("isReady && isCompiling"))
+    page.wait_for_timeout(12_000)
+    assert page.evaluate("isReady && isCompiling")
+    page.select_option("#example", "9wd9ws")
+    page.wait_for_selector("html[data-version]", timeout=WAIT)
+    assert page.inner_text("#title") == "thorvald_9wd9ws"
+    assert page.inner_text("#note") == ""
