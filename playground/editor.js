@@ -3,11 +3,11 @@
 import { autocompletion, closeBrackets, closeBracketsKeymap, completionKeymap, snippet } from "@codemirror/autocomplete";
 import { defaultKeymap, history, historyKeymap, indentWithTab, temporarilySetTabFocusMode } from "@codemirror/commands";
 import { yaml } from "@codemirror/lang-yaml";
-import { bracketMatching, HighlightStyle, indentOnInput, indentUnit, syntaxHighlighting } from "@codemirror/language";
+import { bracketMatching, HighlightStyle, indentOnInput, indentService, indentUnit, syntaxHighlighting } from "@codemirror/language";
 import { lintGutter, lintKeymap, setDiagnostics } from "@codemirror/lint";
 import { highlightSelectionMatches, searchKeymap } from "@codemirror/search";
-import { Compartment, EditorState } from "@codemirror/state";
-import { drawSelection, EditorView, highlightActiveLine, keymap, lineNumbers } from "@codemirror/view";
+import { Compartment, EditorState, RangeSetBuilder } from "@codemirror/state";
+import { Decoration, drawSelection, EditorView, highlightActiveLine, keymap, lineNumbers, ViewPlugin } from "@codemirror/view";
 import { tags } from "@lezer/highlight";
 
 const COLORS = HighlightStyle.define([
@@ -41,6 +41,41 @@ function offset(document, [line, column]) {
   return from + [...text].slice(0, column - 1).join("").length;
 }
 
+// A new line after `key:` is one step further in.
+const BELOW_KEY = indentService.of((context, position) => {
+  const { text, from } = context.lineAt(position, -1), before = text.slice(0, position - from);
+  return /^[^#]*:\s*$/.test(before) ? before.search(/\S/) + context.unit : undefined;
+});
+
+// The further rows of a wrapped line are indented as its text.
+const HANGING = ViewPlugin.define((view) => ({
+  rows: hanging(view),
+  update(change) { if (change.docChanged || change.viewportChanged) this.rows = hanging(change.view); },
+}), { decorations: (plugin) => plugin.rows });
+
+function hanging(view) {
+  const rows = new RangeSetBuilder();
+  for (const { from, to } of view.visibleRanges)
+    for (let place = from; place <= to;) {
+      const line = view.state.doc.lineAt(place), indent = Math.max(line.text.search(/[^\s-]/), 0) + 2;
+      rows.add(line.from, line.from, Decoration.line({ attributes: { style: `padding-left: calc(6px + ${indent}ch); text-indent: -${indent}ch` } }));
+      place = line.to + 1;
+    }
+  return rows.finish();
+}
+
+// The help of the compiler, which is Markdown with code, bold text and paragraphs.
+function rendered(text) {
+  const help = document.createElement("div");
+  for (const part of text.split(/(`[^`]+`|\*\*[^*]+\*\*)/)) {
+    const [, code, bold] = /^`(.+)`$|^\*\*(.+)\*\*$/s.exec(part) ?? [];
+    const piece = document.createElement(code ? "code" : bold ? "b" : "span");
+    piece.textContent = code ?? bold ?? part;
+    help.append(piece);
+  }
+  return help;
+}
+
 const characters = (document, position) => [...document.sliceString(0, position)].length;
 
 // - onChange: called with the text after each change by the user.
@@ -60,7 +95,7 @@ export function create(parent, { onChange, complete, label }) {
       return {
         label: proposal.label,
         detail: proposal.detail || undefined,
-        info: proposal.documentation || undefined,
+        info: proposal.documentation ? () => rendered(proposal.documentation) : undefined,
         boost: -number,
         apply: (view, completion, _, to) => {
           const end = view.state.sliceDoc(to, to + 1) === ":" && proposal.text.endsWith(":") ? -1 : undefined;
@@ -78,7 +113,7 @@ export function create(parent, { onChange, complete, label }) {
   const view = new EditorView({ parent });
   const extensions = [
     lineNumbers(), history(), drawSelection(), indentOnInput(), bracketMatching(), closeBrackets(), highlightActiveLine(), highlightSelectionMatches(),
-    EditorView.lineWrapping, lintGutter(), yaml(), syntaxHighlighting(COLORS), LOOK, indentUnit.of("  "), EditorState.tabSize.of(2),
+    EditorView.lineWrapping, HANGING, BELOW_KEY, lintGutter(), yaml(), syntaxHighlighting(COLORS), LOOK, indentUnit.of("  "), EditorState.tabSize.of(2),
     autocompletion({ override: [source], icons: false, activateOnTypingDelay: 50 }),
     readOnly.of([]),
     // Escape and then Tab leaves the editor, for people who use the keyboard alone.
