@@ -254,6 +254,7 @@ class BaseDriverNode(GuardedLifecycleNode):
         """Stops the robot and closes its base."""
         robot, self.robot = self.robot, None
         if robot is not None:
+            robot.pace.real_time = time.monotonic  # no message of /clock is taken meanwhile
             robot.shutdown()
             self._publish_end(robot)
             # Subscribers must see the robot at rest, also if the node is removed right after.
@@ -288,6 +289,9 @@ class BaseDriverNode(GuardedLifecycleNode):
                     values["real_time_factor"],
                     values["world"],
                 )
+            if values["base"] == "mujoco":
+                self.robot.pace.real_time = self._time_of_simulation
+                self.robot.pace.restart()
             if self._sensors is not None:
                 self._sensors.attach(self.robot)
         except DiagnosticError as error:
@@ -423,6 +427,12 @@ class BaseDriverNode(GuardedLifecycleNode):
             return self.robot.now
         return float(self.get_clock().now().nanoseconds) * 1e-9
 
+    def _time_of_simulation(self) -> float:
+        """Returns the time (s) by which the simulation in MuJoCo goes on: that of /clock, where
+        another node publishes it, so that the robots of a fleet have one time."""
+        follows = self.get_parameter("use_sim_time").value and not self.owns_clock
+        return self.ros_time() if follows else time.monotonic()
+
     def _on_twist(self, source: str, message: Any, waited: float) -> None:
         problem = self.clock_watch.problem
         self.inputs.publish(self.robot, source, message, problem, waited=waited)
@@ -551,6 +561,8 @@ class BaseDriverNode(GuardedLifecycleNode):
         jump = self.clock_watch.update(ros_time, time.monotonic(), timeout)
         if jump or self.clock_watch.problem:
             robot.void(jump or self.clock_watch.problem)
+        if jump and robot.owns_clock:
+            robot.pace.restart()
 
     def _watch_bus(self, robot: DrivenRobot) -> None:
         problem = robot.base.lost

@@ -7,11 +7,10 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from tests.backends.ros2.packages import launch, parameter_files, variant, write
+from tests.backends.ros2.packages import launch, named, parameter_files, variant, write
 from tests.child_process import ChildProcess
 from tests.examples import SAMPLED_ROBOTS
 from tests.ros.environments import ROOT, each_distro, python_of, variables
-from thorvaldc.backends.ros2 import package_of
 
 pytestmark = each_distro(both=True)
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service"}
@@ -55,9 +54,10 @@ def test_rcl_reads_every_value_with_its_type(distro: str, tmp_path: Path) -> Non
     jobs: dict[str, list[str]] = {}
     for name in SAMPLED_ROBOTS:
         robot = variant(name, distro=distro, odom_tf="ekf", namespace="r1")
-        folder = write(tmp_path / name, package_of(robot))
         for file, nodes in parameter_files(robot).items():
-            path = str(folder / "config" / f"{file}.yaml")
+            config = f"config/{file}.yaml"
+            folder = write(tmp_path / name, {config: named(robot, config).encode()})
+            path = str(folder / config)
             jobs[path] = list(nodes)
             expected |= {f"{path} {node}": values for node, values in nodes.items()}
     result = subprocess.run(
