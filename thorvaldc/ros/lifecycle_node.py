@@ -139,6 +139,8 @@ LONGEST_DELIVERY = 0.5
 """Longest real time (s) for which a node that ends waits for the subscribers of the odometry."""
 DEVICE_PERIOD = 0.1
 """Time (s) of the robot between two messages with the values that its devices report."""
+LONGEST_BACKLOG = 0.1
+"""Longest time (s) of /clock that a simulation in MuJoCo catches up: messages may be late."""
 RELAY_QUEUE = 64
 """Frames of foreign devices that wait in a topic, in each direction."""
 DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -255,6 +257,7 @@ class BaseDriverNode(GuardedLifecycleNode):
         robot, self.robot = self.robot, None
         if robot is not None:
             robot.pace.real_time = time.monotonic  # no message of /clock is taken meanwhile
+            robot.pace.backlog = 0.0
             robot.shutdown()
             self._publish_end(robot)
             # Subscribers must see the robot at rest, also if the node is removed right after.
@@ -289,8 +292,10 @@ class BaseDriverNode(GuardedLifecycleNode):
                     values["real_time_factor"],
                     values["world"],
                 )
-            if values["base"] == "mujoco":
-                self.robot.pace.real_time = self._time_of_simulation
+            if values["base"] == "mujoco" and self._follows_clock():
+                # The robots of a fleet have one time.
+                self.robot.pace.real_time = self.ros_time
+                self.robot.pace.backlog = LONGEST_BACKLOG
                 self.robot.pace.restart()
             if self._sensors is not None:
                 self._sensors.attach(self.robot)
@@ -427,11 +432,9 @@ class BaseDriverNode(GuardedLifecycleNode):
             return self.robot.now
         return float(self.get_clock().now().nanoseconds) * 1e-9
 
-    def _time_of_simulation(self) -> float:
-        """Returns the time (s) by which the simulation in MuJoCo goes on: that of /clock, where
-        another node publishes it, so that the robots of a fleet have one time."""
-        follows = self.get_parameter("use_sim_time").value and not self.owns_clock
-        return self.ros_time() if follows else time.monotonic()
+    def _follows_clock(self) -> bool:
+        """Returns whether the time is that of /clock, which another node publishes."""
+        return self.get_parameter("use_sim_time").value and not self.owns_clock
 
     def _on_twist(self, source: str, message: Any, waited: float) -> None:
         problem = self.clock_watch.problem
@@ -556,7 +559,7 @@ class BaseDriverNode(GuardedLifecycleNode):
         """Stops the robot while the ROS clock of another node stands still or jumps."""
         if self.owns_clock:
             return
-        ros_time = self.ros_time() if self.get_parameter("use_sim_time").value else None
+        ros_time = self.ros_time() if self._follows_clock() else None
         timeout = self.values["command_timeout"]
         jump = self.clock_watch.update(ros_time, time.monotonic(), timeout)
         if jump or self.clock_watch.problem:

@@ -20,9 +20,7 @@ from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
-# % if command_topic
 from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
-# % endif
 
 PACKAGE = "{{ package }}"
 NAMESPACE = LaunchConfiguration("namespace")

@@ -280,6 +280,45 @@ def test_fleet(tmp_path: Path) -> None:
     assert len(without.started) == 2 * len(fleet.placements)
 
 
+def test_a_fleet_in_mujoco_has_one_clock(tmp_path: Path) -> None:
+    """The robot with the shortest control cycle publishes it, and all nodes use it."""
+    fleet = example_fleet("fleet_of_four")
+    first, second, *others = fleet.placements
+    driver = dataclasses.replace(second.robot.driver, rate=2.0 * first.robot.driver.rate)
+    fast = dataclasses.replace(second, robot=dataclasses.replace(second.robot, driver=driver))
+    fleet = dataclasses.replace(fleet, placements=(first, fast, *others))
+    shares = install_fleet(fleet, tmp_path)
+    file = shares["fleet_of_four_fleet"] / "launch" / "fleet.launch.py"
+    nodes = [n for n in run(file, shares, base="mujoco").started if n.name != "map_to_odom"]
+    assert all(node.parameters["use_sim_time"] is True for node in nodes)
+    drivers = {n.namespace: n.parameters for n in nodes if n.executable == "base_driver"}
+    assert list(drivers) == [placement.name for placement in fleet.placements]
+    assert {parameters["base"] for parameters in drivers.values()} == {"mujoco"}
+    clocks = [name for name, parameters in drivers.items() if parameters["publish_clock"]]
+    assert clocks == [second.name]
+
+
+def test_a_fleet_in_a_group_has_its_name_space(tmp_path: Path) -> None:
+    """The names of the robots are those of the fleet, whatever `namespace` is before."""
+    shares = install_fleet(example_fleet("fleet_of_four"), tmp_path)
+    file = shares["fleet_of_four_fleet"] / "launch" / "fleet.launch.py"
+    text = (
+        "from launch import LaunchDescription\n"
+        "from launch.actions import IncludeLaunchDescription, SetLaunchConfiguration\n"
+        "from launch.launch_description_sources import PythonLaunchDescriptionSource\n"
+        "from launch_ros.actions import PushRosNamespace\n"
+        "def generate_launch_description():\n"
+        f"    fleet = IncludeLaunchDescription(PythonLaunchDescriptionSource({str(file)!r}))\n"
+        "    other = SetLaunchConfiguration('namespace', 'other')\n"
+        "    return LaunchDescription([other, PushRosNamespace('farm'), fleet])\n"
+    )
+    path = write(tmp_path, {"farm.launch.py": text.encode()}) / "farm.launch.py"
+    for node in run(path, shares).started:
+        assert re.fullmatch("farm/(tall|slim|wide|six)", node.namespace)
+        if node.name == "map_to_odom":
+            assert node.arguments[-1] == f"{node.namespace}/odom"
+
+
 GZ_SIM_NODE = b"""\
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
