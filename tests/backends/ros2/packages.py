@@ -91,9 +91,15 @@ def parameters(robot: Robot) -> dict[str, dict[str, Any]]:
     return nodes
 
 
+_WRITTEN: dict[Path, list[Robot]] = {}
+
+
 def launch(robot: Robot, folder: Path, file: str, **arguments: str) -> Context:
-    """Execute a launch file of the package of a robot."""
-    shares = install(robot, folder)
+    """Execute a launch file of the package of a robot, which is written if it is not there."""
+    shares = {robot.ros.package: folder / robot.ros.package}
+    if robot not in _WRITTEN.get(folder, ()):
+        shares = install(robot, folder)
+        _WRITTEN[folder] = [robot]
     # Nav2 and ros_gz_sim are not installed where the tests run.
     shares["nav2_bt_navigator"] = folder / "nav2_bt_navigator"
     shares["ros_gz_sim"] = write(folder / "ros_gz_sim", {"launch/gz_sim.launch.py": GZ_SIM})
