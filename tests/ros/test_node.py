@@ -187,6 +187,18 @@ def test_clock_of_another_node(distro: str, build: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
+def test_a_robot_in_mujoco_follows_the_clock_of_another_robot(
+    distro: str, build: Path, tmp_path: Path
+) -> None:
+    """It has the name space of its node, and ends in order while the clock stands."""
+    options = {"base": "mujoco", "use_sim_time": True, "stamped": False}
+    options["use_node_namespace"] = True
+    with node(distro, build, tmp_path, space="/r2", **options) as process:
+        run_client(distro, "follow_clock", tmp_path)
+        end(process)
+
+
+@pytest.mark.slow
 def test_stamped_twists(distro: str, build: Path, tmp_path: Path) -> None:
     options = {"base": "ideal", "stamped": True, "twist_covariance": "for_filters"}
     with node(distro, build, tmp_path, **options) as process:

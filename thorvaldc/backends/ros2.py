@@ -8,7 +8,8 @@ the modules whose names begin with ``ros2_``, and the texts that are not paramet
 from __future__ import annotations
 
 import posixpath
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 from thorvaldc.backends import (
     Backend,
@@ -25,9 +26,11 @@ from thorvaldc.backends.sdf import model_text, world_files
 from thorvaldc.backends.urdf import urdf_text
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import to_json
-from thorvaldc.model.settings import package_name
+from thorvaldc.model.settings import NAME_PREFIX, NAME_SPACE, package_name
 
 FOLDER = "ros2"
+_SPACE = "thorvaldc_name_space"
+"""Name space of the robot in the files that `in_any_name_space` changes."""
 
 
 class Ros2(Backend):
@@ -70,7 +73,7 @@ def fleet_package(fleet: Fleet) -> dict[str, bytes]:
 
 def package_of(robot: Robot) -> dict[str, bytes]:
     """Return the files of the ROS 2 package of a robot, by their path in the package."""
-    parts = ros2_parts.parts_of(robot)
+    parts, named = ros2_parts.parts_of(robot), replace(robot, namespace=_SPACE)
     launches = ros2_package_files.launch_files(robot, parts)
     names = [posixpath.basename(path).removesuffix(".launch.py") for path in launches]
     plugins = set(ros2_navigation.plugin_packages(robot, parts))
@@ -78,9 +81,12 @@ def package_of(robot: Robot) -> dict[str, bytes]:
         plugins.add("can_msgs")  # the base driver relays frames of foreign devices
     if robot.buses:
         plugins.add("control_msgs")  # the base driver publishes what the devices report
-    control: dict[str, bytes] = {}
+    control: dict[str, str] = {}
+    worlds: dict[str, bytes] = {}
     if robot.actuators:
-        control = {**control_files(robot), **ros2_control_files(robot)}
+        scene = {path: data.decode() for path, data in ros2_control_files(named).items()}
+        control = {**control_files(named), **scene}
+        worlds = world_files(robot.name, [robot])
         plugins |= controllers.control_packages(robot)
         left_out = (*parts.left_out, *left_out_of_control(robot))
         parts = parts._replace(left_out=left_out)
@@ -88,12 +94,18 @@ def package_of(robot: Robot) -> dict[str, bytes]:
         **ros2_package_files.driver_module(robot),
         "README.md": ros2_package_files.readme(robot, parts, names).encode(),
         "config/model.json": to_json(robot).encode(),
-        "urdf/robot.urdf": urdf_text(robot, f"package://{robot.ros.package}/meshes").encode(),
+        **in_any_name_space(
+            robot,
+            {
+                "urdf/robot.urdf": urdf_text(named, f"package://{robot.ros.package}/meshes"),
+                "rviz/robot.rviz": ros2_package_files.rviz_text(named, parts),
+                **_parameter_files(named, parts),
+                **control,
+            },
+        ),
+        **worlds,
         **{f"meshes/{mesh.name}": mesh.data for mesh in robot.meshes},
-        "rviz/robot.rviz": ros2_package_files.rviz_text(robot, parts).encode(),
         **{path: text.encode() for path, text in launches.items()},
-        **_parameter_files(robot, parts),
-        **control,
     }
     description = f"The robot {robot.name}, made by thorvaldc"
     return {
@@ -104,7 +116,23 @@ def package_of(robot: Robot) -> dict[str, bytes]:
     }
 
 
-def _parameter_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, bytes]:
+def in_any_name_space(robot: Robot, files: Mapping[str, str]) -> dict[str, bytes]:
+    """Return the files of a robot in the name space ``_SPACE`` with places for its names.
+
+    The launch files put names in: launch itself in parameter files, where a backslash begins an
+    escape sequence of it, and they in the other files.
+    """
+    named = {}
+    for path, text in files.items():
+        if path.startswith("config/"):
+            text = text.replace("\\", "\\\\").replace("$(", "\\$(")
+        text = text.replace(f"{_SPACE}/", NAME_PREFIX)
+        text = text.replace(f'"{_SPACE}"', f'"{robot.name}"').replace(f"/{_SPACE}", NAME_SPACE)
+        named[path] = text.encode()
+    return named
+
+
+def _parameter_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
     files: dict[str, dict[str, Parameters]] = {
         "base_driver": {"base_driver": ros2_parameters.base_driver(robot, parts)},
         "robot_state_publisher": {
@@ -137,7 +165,7 @@ def _parameter_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, bytes]:
     return {
         f"config/{file}.yaml": parameter_file(
             {space + node: values for node, values in nodes.items()}, comments.get(file, "")
-        ).encode()
+        )
         for file, nodes in files.items()
     }
 
@@ -152,7 +180,7 @@ def left_out_of_control(robot: Robot) -> list[tuple[str, str]]:
     return [("ros2_control on the CAN bus", problem or files)]
 
 
-def control_files(robot: Robot) -> dict[str, bytes]:
+def control_files(robot: Robot) -> dict[str, str]:
     """Return the parameters, descriptions and models of ros2_control and Gazebo, by path.
 
     In Gazebo the base driver moves every robot by a topic of each joint; the files with
@@ -175,10 +203,7 @@ def control_files(robot: Robot) -> dict[str, bytes]:
         files["config/gz_bridge_ros2_control.yaml"] = gz_bridge(topics)
         mux = {f"{ros2_parts.node_space(robot)}twist_mux": ros2_parameters.twist_mux(robot)}
         files["config/twist_mux.yaml"] = parameter_file(mux)
-    return {
-        **{path: text.encode() for path, text in files.items()},
-        **world_files(robot.name, [robot]),
-    }
+    return files
 
 
 def gz_bridge(topics: Iterable[ros2_parts.BridgedTopic]) -> str:

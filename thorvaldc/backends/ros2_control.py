@@ -51,8 +51,7 @@ def ros2_control_elements(robot: Robot, hardware: str, share: str) -> list[Eleme
         raise ValueError(problem)
     if hardware == "can":
         return [_can_system(robot, bus, share) for bus in robot.buses if _motors_on(robot, bus)]
-    name = f"{robot.namespace or robot.name}_{hardware}"
-    root, system = _system(name, hardware)
+    root, system = _system(f"{robot.name}_{hardware}", hardware)
     if hardware == "mock":
         _add_param(system, "calculate_dynamics", "true")
     elif hardware == "mujoco":
@@ -118,7 +117,7 @@ def _can_system(robot: Robot, bus: Bus, share: str) -> Element:
     Passive joints have no drive, and the drives of extras have their own elements.
     """
     alone = len(robot.buses) == 1
-    root, system = _system(f"{robot.namespace or robot.name}_{bus.name}", "can")
+    root, system = _system(f"{robot.name}_{bus.name}", "can")
     name = "bus.yml" if alone else f"{bus.name}.bus.yml"
     number_of_bus = [b.name for b in robot.buses].index(bus.name)
     folder = f"{share}/can" if alone else f"{share}/can/{bus.name}"

@@ -22,6 +22,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from thorvaldc.backends.ros2_parameters import Parameters
+from thorvaldc.backends.ros2_parts import node_space
 from thorvaldc.model import Robot, Wheel, wheel_joints
 from thorvaldc.model.joint_topics import ANGLE_CONTROLLER, BROADCASTER, SPEED_CONTROLLER
 from thorvaldc.model.settings import DRIVER
@@ -87,7 +88,7 @@ def controller_parameters(robot: Robot) -> dict[str, dict[str, Parameters]]:
     The result maps the path of the file in the package to the nodes, and each node to its
     parameters, see ``ros2_parameters.parameter_file``.
     """
-    space = f"/{robot.namespace}/" if robot.namespace else ""
+    space = node_space(robot)
     manager: Parameters = {"update_rate": max(1, round(robot.driver.rate))}
     nodes: dict[str, Parameters] = {f"{space}controller_manager": manager}
     for controller in controllers(robot):

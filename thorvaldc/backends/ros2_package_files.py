@@ -4,7 +4,6 @@ setup.py, launch files and the program of the base driver, from the templates in
 
 from __future__ import annotations
 
-import json
 import posixpath
 import re
 from collections.abc import Iterable, Mapping
@@ -17,7 +16,7 @@ from thorvaldc.backends.ros2_navigation import Motion
 from thorvaldc.backends.ros2_parameters import quoted
 from thorvaldc.backends.templates import Templates
 from thorvaldc.backends.xml_writer import escape
-from thorvaldc.model import Fleet, Robot
+from thorvaldc.model import Fleet, Robot, Sensor
 from thorvaldc.model.settings import ANY_FIRST, EKF, RAMP_FIRST, ZERO_FIRST
 
 _NEEDED = re.compile(
@@ -191,8 +190,9 @@ def rviz_text(robot: Robot, parts: ros2_parts.Parts) -> str:
 def fleet_launch_file(fleet: Fleet, package: str) -> str:
     """Return the text of the launch file that starts all robots of a fleet at their places.
 
-    ``package``: the package of the launch file, with the world of Gazebo.  MuJoCo is not among the
-    bases: each base driver would have its own world and its own clock.
+    ``package``: the package of the launch file, with the world of Gazebo.  With MuJoCo, each base
+    driver has its own world, and the simulations go on by the time of that with most control
+    cycles.
     """
     robots = []
     for placement in fleet.placements:
@@ -200,7 +200,9 @@ def fleet_launch_file(fleet: Fleet, package: str) -> str:
         w, *xyz = pose.quat
         place = [*pose.xyz, *xyz, w]
         robots.append((robot.ros.package, robot.namespace, place, list(pose.clean().rpy())))
-    values = {"package": package, "fleet": fleet.name, "robots": robots}
+    rates = [placement.robot.driver.rate for placement in fleet.placements]
+    clock = rates.index(max(rates))
+    values = {"package": package, "fleet": fleet.name, "robots": robots, "clock": clock}
     return _LAUNCH_TEMPLATES.render("fleet.launch.py", **values)
 
 
@@ -231,16 +233,10 @@ def launch_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
 def _values(robot: Robot, parts: ros2_parts.Parts) -> dict[str, Any]:
     """Return the values that the templates of a robot name."""
     controller = twist_controller(robot)
-    odometry = ""
-    if controller is not None:
-        topics = (controller.odometry_topic, "odometry/base_raw")
-        odometry = "({}, {})".format(
-            *(json.dumps(ros2_parts.full_topic(robot, topic)) for topic in topics)
-        )
     return {
         "package": robot.ros.package,
         "namespace": robot.namespace,
-        "model_name": robot.namespace or robot.name,
+        "robot_name": robot.name,
         "bus": ",".join(f"{bus.name}=socketcan:can{i}" for i, bus in enumerate(robot.buses))
         if len(robot.buses) > 1
         else "socketcan:can0",
@@ -248,14 +244,18 @@ def _values(robot: Robot, parts: ros2_parts.Parts) -> dict[str, Any]:
         "stamped": str(robot.ros.stamped).lower(),
         "teleop_topic": ros2_parts.source_topic(robot, "teleop_joy"),
         "local_ekf": parts.local_ekf,
-        "gnss_topic": ros2_parts.sensor_topic(robot, parts.gnss) if parts.gnss is not None else "",
-        "imu_topic": ros2_parts.sensor_topic(robot, parts.imu) if parts.imu is not None else "",
+        "gnss_topic": _topic_of(parts.gnss),
+        "imu_topic": _topic_of(parts.imu),
         "map_sources": parts.map_sources,
         "localizations": parts.map_sources or ("none",),
         "turns_on_the_spot": Motion(robot).kind != "ackermann",
         "controllers": [c.name for c in controllers(robot) if c.is_released],
-        "controller_manager": f"{ros2_parts.node_space(robot)}controller_manager",
         "command_topic": controller.command_topic if controller is not None else "",
-        "odometry_remapping": odometry,
+        "odometry_topic": controller.odometry_topic if controller is not None else "",
         "gazebo_clock": ros2_parts.GAZEBO_CLOCK,
     }
+
+
+def _topic_of(sensor: Sensor | None) -> str:
+    """Return the first topic of a sensor, relative to the name space."""
+    return ros2_parts.sensor_topics(sensor)[0][0] if sensor is not None else ""

@@ -62,8 +62,6 @@ def base_driver(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
     return {
         "stamped": robot.ros.stamped,
         "enable_odom_tf": robot.ros.odom_tf == DRIVER,
-        "odom_frame_id": ros2_parts.odom_frame(robot),
-        "base_frame_id": ros2_parts.base_frame(robot),
         "publish_description": False,  # robot_state_publisher publishes it
         "autostart": True,
         **covariance,

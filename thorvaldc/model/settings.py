@@ -180,6 +180,9 @@ DRIVER, EKF = "driver", "ekf"
 MEASURED, FOR_FILTERS = "measured", "for_filters"
 """Values of the parameter ``twist_covariance`` of the base driver."""
 ODOM_FRAME, MAP_FRAME = "odom", "map"
+NAME_PREFIX, NAME_SPACE = "$(var name_prefix)", "$(var namespace)"
+"""Place of the prefix of all names, and of the name space, in the files of a ROS 2 package; its
+launch files put in those of the robot that they start."""
 """Frames that the nodes of the package add to those of the robot's links."""
 RESERVED_TOPICS = {
     "odometry/base_raw": "the odometry of the base driver",

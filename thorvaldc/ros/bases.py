@@ -11,6 +11,8 @@ from thorvaldc.can.frame import CanInterface
 from thorvaldc.can.open_interface import lock_buses, open_interfaces
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
+from thorvaldc.model.model_json import load_model
+from thorvaldc.model.settings import NAME_PREFIX
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot
 
@@ -92,7 +94,7 @@ def scene_files(robot: Robot, model_file: Path, world: str) -> Path | Mapping[st
 
     if world:
         return Path(world)
-    if (model_file.parent / SCENE).is_file():
+    if (model_file.parent / SCENE).is_file() and _has_names_of(robot, model_file):
         return model_file.parent
     from thorvaldc.compiler.pipeline import emit
     from thorvaldc.diagnostics import Report
@@ -104,6 +106,13 @@ def scene_files(robot: Robot, model_file: Path, world: str) -> Path | Mapping[st
     return files
 
 
+def _has_names_of(robot: Robot, model_file: Path) -> bool:
+    """Returns whether the files of a build have the names of the robot, whose name space may be
+    that of its node."""
+    built = load_model(model_file)
+    return isinstance(built, Robot) and built.namespace == robot.namespace
+
+
 def description_text(robot: Robot, model_file: Path) -> str:
     """Returns the URDF of the robot, from the files of the build or made from the model.
 
@@ -112,11 +121,14 @@ def description_text(robot: Robot, model_file: Path) -> str:
     for folder in (model_file.parent, model_file.parent.parent):
         path = folder / "urdf" / "robot.urdf"
         if path.is_file():
-            return path.read_text(encoding="utf-8")
+            text = path.read_text(encoding="utf-8")
+            if NAME_PREFIX in text or _has_names_of(robot, model_file):
+                return text.replace(NAME_PREFIX, robot.prefix)
     try:
         from thorvaldc.backends.urdf import urdf_text
     except ModuleNotFoundError:
         raise NodeError(
-            f"publish_description: there is no file urdf/robot.urdf beside {model_file}"
+            f"publish_description: there is no file urdf/robot.urdf of this robot beside"
+            f" {model_file}"
         ) from None
     return urdf_text(robot)

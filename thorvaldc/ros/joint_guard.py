@@ -26,7 +26,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from thorvaldc.model.joint_topics import HEARTBEAT
 from thorvaldc.ros.joint_messages import JointCommandTopics
-from thorvaldc.ros.node_parameters import declared, load_robot_model
+from thorvaldc.ros.node_parameters import declared, declared_model
 
 NODE_NAME = "joint_guard"
 LONGEST_SILENCE = 0.2
@@ -41,14 +41,15 @@ _CALM = 5.0
 
 
 class JointGuard(Node):  # type: ignore[misc]
-    """The guard of one robot, with the parameters ``model_file`` and ``joint_topics``."""
+    """The guard of one robot, with the parameters ``model_file``, ``use_node_namespace`` and
+    ``joint_topics``."""
 
     def __init__(self, **options: Any) -> None:
         """Raises ``NodeError`` or ``DiagnosticError`` if a parameter or the model is wrong."""
         super().__init__(NODE_NAME, **options)
-        model_file, dialect = (declared(self, name) for name in ("model_file", "joint_topics"))
+        dialect = declared(self, "joint_topics")
         self.values = {"autostart": False}
-        self._commands = JointCommandTopics(self, load_robot_model(model_file), dialect)
+        self._commands = JointCommandTopics(self, declared_model(self), dialect)
         self._heard_at = -math.inf  # real time
         self._stamp = -math.inf  # of the last heartbeat, s
         self._late_at = 0.0  # real time

@@ -148,6 +148,8 @@ LONGEST_DELIVERY = 0.5
 """Longest real time (s) for which a node that ends waits for the subscribers of the odometry."""
 DEVICE_PERIOD = 0.1
 """Time (s) of the robot between two messages with the values that its devices report."""
+LONGEST_BACKLOG = 0.1
+"""Longest time (s) of /clock that a simulation in MuJoCo catches up: messages may be late."""
 RELAY_QUEUE = 64
 """Frames of foreign devices that wait in a topic, in each direction."""
 DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -274,6 +276,8 @@ class BaseDriverNode(GuardedLifecycleNode):
         """Stops the robot and closes its base."""
         robot, self.robot = self.robot, None
         if robot is not None:
+            robot.pace.real_time = time.monotonic  # no message of /clock is taken meanwhile
+            robot.pace.backlog = 0.0
             robot.shutdown()
             self._publish_end(robot)
             # Subscribers must see the robot at rest, also if the node is removed right after.
@@ -308,6 +312,11 @@ class BaseDriverNode(GuardedLifecycleNode):
                     values["real_time_factor"],
                     values["world"],
                 )
+            if values["base"] == "mujoco" and self._follows_clock():
+                # The robots of a fleet have one time.
+                self.robot.pace.real_time = self.ros_time
+                self.robot.pace.backlog = LONGEST_BACKLOG
+                self.robot.pace.restart()
             if self._sensors is not None:
                 self._sensors.attach(self.robot)
         except DiagnosticError as error:
@@ -443,6 +452,10 @@ class BaseDriverNode(GuardedLifecycleNode):
             return self.robot.now
         return float(self.get_clock().now().nanoseconds) * 1e-9
 
+    def _follows_clock(self) -> bool:
+        """Returns whether the time is that of /clock, which another node publishes."""
+        return self.get_parameter("use_sim_time").value and not self.owns_clock
+
     def _on_twist(self, source: str, message: Any, waited: float) -> None:
         problem = self.clock_watch.problem
         self.inputs.publish(self.robot, source, message, problem, waited=waited)
@@ -566,11 +579,13 @@ class BaseDriverNode(GuardedLifecycleNode):
         """Stops the robot while the ROS clock of another node stands still or jumps."""
         if self.owns_clock:
             return
-        ros_time = self.ros_time() if self.get_parameter("use_sim_time").value else None
+        ros_time = self.ros_time() if self._follows_clock() else None
         timeout = self.values["command_timeout"]
         jump = self.clock_watch.update(ros_time, time.monotonic(), timeout)
         if jump or self.clock_watch.problem:
             robot.void(jump or self.clock_watch.problem)
+        if jump and robot.owns_clock:
+            robot.pace.restart()
 
     def _watch_bus(self, robot: DrivenRobot) -> None:
         problem = robot.base.lost

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,12 @@ from thorvaldc.model import Robot
 from thorvaldc.model.model_json import load_model
 from thorvaldc.ros import parameters as table
 from thorvaldc.ros.bases import NodeError
-from thorvaldc.ros.parameters import MODEL_FILE, PARAMETER_SET, NodeParameter
+from thorvaldc.ros.parameters import (
+    MODEL_FILE,
+    PARAMETER_SET,
+    USE_NODE_NAMESPACE,
+    NodeParameter,
+)
 from thorvaldc.runtime.base_interface import ParameterError
 from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LIMITS, Parameters
 
@@ -39,6 +44,17 @@ def load_robot_model(path: str) -> Robot:
     if not isinstance(model, Robot):
         raise NodeError(f"{path} is a fleet; start a node for the model.json of each robot")
     return model
+
+
+def declared_model(node: Any) -> Robot:
+    """Declares the parameters that name the model on a node, and returns the robot.
+
+    Raises ``NodeError`` or ``DiagnosticError``.
+    """
+    robot = load_robot_model(declared(node, MODEL_FILE))
+    if declared(node, USE_NODE_NAMESPACE):
+        robot = replace(robot, namespace=node.get_namespace().strip("/"))
+    return robot
 
 
 def declared(node: Any, name: str) -> Any:
@@ -75,11 +91,13 @@ class NodeParameters:
         """
         self._node = node
         self.give: Callable[[str | None, Changes], None] = lambda name, changes: None
-        self.values: dict[str, Any] = {MODEL_FILE: declared(node, MODEL_FILE)}
-        self.robot = robot = load_robot_model(self.values[MODEL_FILE])
-        declared_here = {parameter.name: parameter for parameter in table.parameters_of(robot)}
-        del declared_here[MODEL_FILE]
-        for name, parameter in declared_here.items():
+        self.robot = robot = declared_model(node)
+        self.values: dict[str, Any] = {}
+        for parameter in table.parameters_of(robot):
+            name = parameter.name
+            if node.has_parameter(name):
+                self.values[name] = node.get_parameter(name).value
+                continue
             descriptor = _descriptor(parameter, robot)
             default = parameter.default_for(robot)
             value = node.declare_parameter(name, default, descriptor).value

@@ -20,6 +20,7 @@ GAZEBO, ROS2_CONTROL, JOINT_STATES = "gazebo", "ros2_control", "joint_states"
 DIALECTS = (GAZEBO, ROS2_CONTROL, JOINT_STATES)
 """Values of the parameter ``joint_topics``, see ``joint_messages.py``."""
 MODEL_FILE, PARAMETER_SET = "model_file", "parameter_set"
+USE_NODE_NAMESPACE = "use_node_namespace"
 RADIUS, NOISE = "radius.", "noise."
 """Beginnings of the names of parameters for each wheel and each measurement error."""
 SMALLEST = 1e-6
@@ -118,6 +119,12 @@ PARAMETERS: tuple[NodeParameter, ...] = (
         MODEL_FILE,
         "",
         "path of the file model.json of a build; everything about the robot comes from it",
+    ),
+    NodeParameter(
+        USE_NODE_NAMESPACE,
+        False,
+        "names of joints and frames begin with the name space of the node, not with that of the"
+        " model",
     ),
     NodeParameter("base", "bus", "what the node drives", choices=BASES),
     NodeParameter(

@@ -9,7 +9,8 @@ If a cycle takes longer than T, the missed deadlines are skipped::
 
 The time of the robot is that of its clock: a CAN interface, whose time goes on by itself or is
 virtual, or ``SimulatedTime``.  Virtual and simulated time go on only when a cycle begins, at
-``factor`` times the real time.  Missed cycles are not caught up: the robot stands still meanwhile.
+``factor`` times the real time.  Missed cycles are not caught up, except for ``backlog``: the robot
+stands still meanwhile.
 """
 
 from __future__ import annotations
@@ -99,6 +100,8 @@ class Pace:
         self.factor = factor
         self.timing = Timing()
         self.real_time = real_time
+        self.backlog = 0.0
+        """Longest delay (s) of virtual time that is caught up."""
         self._sleep = sleep
         self._keep_starts = keep_starts
         self._deadline: float | None = None
@@ -135,7 +138,7 @@ class Pace:
         if self.factor is not None:
             self.clock.sleep_until(deadline)
             real_period = self.period / self.factor if self.factor else 0.0
-            self._due = max(self._due + real_period, self.real_time())
+            self._due = max(self._due + real_period, self.real_time() - self.backlog)
         now = self.clock.now
         timing.cycles += 1
         timing.latest = max(timing.latest, now - deadline)

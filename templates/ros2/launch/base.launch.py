@@ -1,6 +1,10 @@
 """The robot's description and its base driver; other launch files include it."""
 
+import atexit
 import os
+import re
+import shutil
+import tempfile
 
 from launch import LaunchDescription
 from launch.actions import (
@@ -18,10 +22,10 @@ from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
 PACKAGE = "{{ package }}"
-NAMESPACE = "{{ namespace }}"
+NAMESPACE = LaunchConfiguration("namespace")
 ARGUMENTS = {
     "bus": ("{{ bus }}", "CAN interface of the robot's bus, as in thorvaldc run --bus"),
     "guard": ("false", "stop the drives of another program when the base driver is silent"),
@@ -64,22 +68,17 @@ def generate_launch_description():
 def start(context):
     """Return the nodes."""
     driver = LaunchConfiguration("driver_package", default="").perform(context)
-    config = os.path.join(SHARE, "config")
-    urdf = LaunchConfiguration("urdf").perform(context)
-    with open(os.path.join(SHARE, "urdf", urdf), encoding="utf-8") as file:
-        description = file.read().replace("$(find {{ package }})", SHARE)
-    if driver:  # of the package that started this build, which may not be installed
-        meshes = "package://{{ package }}/"
-        description = description.replace(meshes, f"file://{SHARE}/")
 
     def argument(name, value_type):
         return ParameterValue(LaunchConfiguration(name), value_type=value_type)
 
     use_sim_time = {"use_sim_time": argument("use_sim_time", bool)}
     joints = {
-        "model_file": os.path.join(config, "model.json"),
+        "model_file": os.path.join(SHARE, "config", "model.json"),
+        "use_node_namespace": True,
         "joint_topics": argument("joint_topics", str),
     }
+    rviz = copies_of(context, "rviz/robot.rviz")
     return [
         Node(
             package="robot_state_publisher",
@@ -88,8 +87,8 @@ def start(context):
             namespace=NAMESPACE,
             output="screen",
             parameters=[
-                os.path.join(config, "robot_state_publisher.yaml"),
-                {"robot_description": ParameterValue(description, value_type=str)},
+                parameters("robot_state_publisher"),
+                description_of(context, LaunchConfiguration("urdf").perform(context)),
                 use_sim_time,
             ],
         ),
@@ -100,7 +99,7 @@ def start(context):
             namespace=NAMESPACE,
             output="screen",
             parameters=[
-                os.path.join(config, "base_driver.yaml"),
+                parameters("base_driver"),
                 {
                     **joints,
                     "base": argument("base", str),
@@ -131,7 +130,7 @@ def start(context):
             name="ekf_odom",
             namespace=NAMESPACE,
             output="screen",
-            parameters=[os.path.join(config, "ekf_odom.yaml"), use_sim_time],
+            parameters=[parameters("ekf_odom"), use_sim_time],
         ),
         # % endif
         Node(
@@ -140,10 +139,11 @@ def start(context):
             executable="rviz2",
             name="rviz2",
             namespace=NAMESPACE,
-            arguments=["-d", os.path.join(SHARE, "rviz", "robot.rviz")],
+            arguments=["-d", os.path.join(rviz, "robot.rviz")],
             parameters=[use_sim_time],
         ),
     ]
 
 
+# % include "named_files.py"
 # % include "other_build.py"

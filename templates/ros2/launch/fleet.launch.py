@@ -25,12 +25,19 @@ ROBOTS = [
 ]
 
 
-def robot(number, base, package, namespace, pose, angles):
-    """Return a robot of the fleet at its place."""
+# Number of the robot with the shortest control cycle: with MuJoCo, its node publishes /clock.
+CLOCK = {{ clock }}
+
+
+def robot(number, base, group, package, namespace, pose, angles):
+    """Return a robot of the fleet at its place, in the name space of the group."""
+    namespace = f"{group}/{namespace}".lstrip("/")
     options = ("--x", "--y", "--z", "--qx", "--qy", "--qz", "--qw")
     place = [text for item in zip(options, pose) for text in (item[0], str(item[1]))]
     share = get_package_share_directory(package)
     file, arguments = "base.launch.py", {"base": base}
+    if base == "mujoco":
+        arguments |= {"use_sim_time": "true", "publish_clock": str(number == CLOCK).lower()}
     if base == "gazebo":
         world = os.path.join(get_package_share_directory(PACKAGE), "sdf", "world.sdf")
         places = zip(("x", "y", "z", "R", "P", "Y"), (*pose[:3], *angles))
@@ -42,14 +49,14 @@ def robot(number, base, package, namespace, pose, angles):
         [
             IncludeLaunchDescription(
                 PythonLaunchDescriptionSource(os.path.join(share, "launch", file)),
-                launch_arguments=arguments.items(),
+                launch_arguments={**arguments, "namespace": f"/{namespace}"}.items(),
             ),
             Node(
                 condition=IfCondition(LaunchConfiguration("poses")),
                 package="tf2_ros",
                 executable="static_transform_publisher",
                 name="map_to_odom",
-                namespace=namespace,
+                namespace=f"/{namespace}",
                 arguments=place + ["--frame-id", "map", "--child-frame-id", f"{namespace}/odom"],
             ),
         ]
@@ -59,7 +66,8 @@ def robot(number, base, package, namespace, pose, angles):
 def start(context):
     """Return all robots."""
     base = LaunchConfiguration("base").perform(context)
-    return [robot(number, base, *values) for number, values in enumerate(ROBOTS)]
+    group = LaunchConfiguration("ros_namespace", default="").perform(context)
+    return [robot(number, base, group, *values) for number, values in enumerate(ROBOTS)]
 
 
 def generate_launch_description():
@@ -69,8 +77,9 @@ def generate_launch_description():
             DeclareLaunchArgument(
                 "base",
                 default_value="ideal",
-                choices=["ideal", "virtual", "gazebo"],
-                description="ideal joints, simulated buses, or one Gazebo with all robots",
+                choices=["ideal", "mujoco", "virtual", "gazebo"],
+                description="ideal joints, a MuJoCo for each robot, which does not see the others,"
+                " simulated buses, or one Gazebo with all robots",
             ),
             DeclareLaunchArgument(
                 "poses",

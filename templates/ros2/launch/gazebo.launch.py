@@ -1,6 +1,10 @@
 """Simulation in Gazebo, which gives the time of all nodes."""
 
+import atexit
 import os
+import re
+import shutil
+import tempfile
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
@@ -16,12 +20,10 @@ from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
-# % if command_topic
-from launch_ros.parameter_descriptions import ParameterValue
-# % endif
+from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
 PACKAGE = "{{ package }}"
-NAMESPACE = "{{ namespace }}"
+NAMESPACE = LaunchConfiguration("namespace")
 PLACE = ("x", "y", "z", "R", "P", "Y")
 # % if command_topic
 CONTROLLERS = [
@@ -29,6 +31,7 @@ CONTROLLERS = [
     "{{ name }}",
     # % endfor
 ]
+MANAGER = ["/", LaunchConfiguration("name_prefix"), "controller_manager"]
 # % endif
 
 
@@ -64,29 +67,36 @@ def generate_launch_description():
 
 def start(context):
     """Return Gazebo with the robot in it."""
-    config = os.path.join(SHARE, "config")
     # % if command_topic
     standard = LaunchConfiguration("controller").perform(context) == "standard"
     variant, moved_by = ("_ros2_control", controllers) if standard else ("", base_driver)
     # % else
     variant, moved_by = "", base_driver
     # % endif
-    with open(os.path.join(SHARE, "sdf", f"model{variant}.sdf"), encoding="utf-8") as file:
-        model = file.read().replace("$(find {{ package }})", SHARE)
-    if LaunchConfiguration("driver_package", default="").perform(context):
-        model = model.replace("model://{{ package }}/", f"file://{SHARE}/")
-    place = [text for name in PLACE for text in (f"-{name}", LaunchConfiguration(name))]
+    model = text_of(context, f"sdf/model{variant}.sdf")
+    bridge = f"gz_bridge{variant}.yaml"
+    files = [f"config/{bridge}"]
+    # % if command_topic
+    files += ["config/controllers.yaml"] if standard else []
+    # % endif
+    config = copies_of(context, *files)
+    # % if command_topic
+    model = model.replace(os.path.join(SHARE, "config"), config)
+    # % endif
+    namespace = NAMESPACE.perform(context)[1:]
+    name = namespace.replace("/", "_") or "{{ robot_name }}"
+    place = [text for axis in PLACE for text in (f"-{axis}", LaunchConfiguration(axis))]
     return [
         # Gazebo finds the meshes of the package in this folder.
         AppendEnvironmentVariable("GZ_SIM_RESOURCE_PATH", os.path.dirname(SHARE)),
-        *gazebo(LaunchConfiguration("world").perform(context), config),
+        *gazebo(LaunchConfiguration("world").perform(context)),
         Node(
             package="ros_gz_sim",
             executable="create",
             name="create",
             namespace=NAMESPACE,
             output="screen",
-            arguments=["-name", "{{ model_name }}", "-string", model, *place],
+            arguments=["-name", name, "-string", model, *place],
         ),
         Node(
             package="ros_gz_bridge",
@@ -95,15 +105,15 @@ def start(context):
             namespace=NAMESPACE,
             output="screen",
             parameters=[
-                {"config_file": os.path.join(config, f"gz_bridge{variant}.yaml")},
+                {"config_file": os.path.join(config, bridge)},
                 {"use_sim_time": True},
             ],
         ),
-        *moved_by(),
+        *moved_by(context),
     ]
 
 
-def gazebo(world, config):
+def gazebo(world):
     """Return Gazebo with its time on /clock, or nothing if it runs already."""
     if not world:
         return []
@@ -119,7 +129,7 @@ def gazebo(world, config):
             name="gz_bridge_clock",
             namespace=NAMESPACE,
             output="screen",
-            parameters=[{"config_file": os.path.join(config, "gz_bridge_clock.yaml")}],
+            parameters=[{"config_file": os.path.join(SHARE, "config", "gz_bridge_clock.yaml")}],
         ),
         # Gazebo sends the time at every step of the physics; the nodes get every 10th.
         Node(
@@ -141,11 +151,8 @@ def gazebo(world, config):
 
 
 # % if command_topic
-def controllers():
+def controllers(context):
     """Return the nodes that move the robot by ros2_control."""
-    config = os.path.join(SHARE, "config")
-    with open(os.path.join(SHARE, "urdf", "robot_gazebo.urdf"), encoding="utf-8") as file:
-        description = file.read().replace("$(find {{ package }})", SHARE)
     use_sim_time = {"use_sim_time": True}
     return [
         Node(
@@ -155,8 +162,8 @@ def controllers():
             namespace=NAMESPACE,
             output="screen",
             parameters=[
-                os.path.join(config, "robot_state_publisher.yaml"),
-                {"robot_description": ParameterValue(description, value_type=str)},
+                parameters("robot_state_publisher"),
+                description_of(context, "robot_gazebo.urdf"),
                 use_sim_time,
             ],
         ),
@@ -166,7 +173,7 @@ def controllers():
             name="spawner",
             namespace=NAMESPACE,
             output="screen",
-            arguments=[*CONTROLLERS, "--controller-manager", "{{ controller_manager }}"],
+            arguments=[*CONTROLLERS, "--controller-manager", MANAGER],
         ),
         Node(
             package="twist_mux",
@@ -174,14 +181,14 @@ def controllers():
             name="twist_mux",
             namespace=NAMESPACE,
             output="screen",
-            parameters=[os.path.join(config, "twist_mux.yaml"), use_sim_time],
+            parameters=[parameters("twist_mux"), use_sim_time],
             remappings=[("cmd_vel_out", "{{ command_topic }}")],
         ),
     ]
 
 
 # % endif
-def base_driver():
+def base_driver(context):
     """Return the nodes that move the robot by the base driver."""
     return [
         IncludeLaunchDescription(
@@ -197,4 +204,5 @@ def base_driver():
     ]
 
 
+# % include "named_files.py"
 # % include "other_build.py"

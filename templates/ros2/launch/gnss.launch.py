@@ -1,6 +1,7 @@
 """GNSS, odometry and IMU give the pose in the frame map."""
 
 import os
+import re
 
 from launch import LaunchDescription
 from launch.actions import (
@@ -14,15 +15,14 @@ from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
 PACKAGE = "{{ package }}"
-NAMESPACE = "{{ namespace }}"
+NAMESPACE = LaunchConfiguration("namespace")
 
 
 def generate_launch_description():
     """Return what this file starts."""
-    config = os.path.join(SHARE, "config")
     use_sim_time = {
         "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
     }
@@ -36,7 +36,7 @@ def generate_launch_description():
             name="ekf_map",
             namespace=NAMESPACE,
             output="screen",
-            parameters=[os.path.join(config, "gnss.yaml"), use_sim_time],
+            parameters=[parameters("gnss"), use_sim_time],
             remappings=[("odometry/filtered", "odometry/filtered_map")],
         ),
         Node(
@@ -45,7 +45,7 @@ def generate_launch_description():
             name="navsat_transform",
             namespace=NAMESPACE,
             output="screen",
-            parameters=[os.path.join(config, "gnss.yaml"), use_sim_time],
+            parameters=[parameters("gnss"), use_sim_time],
             remappings=[
                 ("odometry/filtered", "odometry/filtered_map"),
                 ("gps/fix", "{{ gnss_topic }}"),
@@ -57,4 +57,5 @@ def generate_launch_description():
     )
 
 
+# % include "parameters.py"
 # % include "other_build.py"

@@ -1,6 +1,7 @@
 """{{ summary }}"""
 
 import os
+import re
 
 from launch import LaunchDescription
 from launch.actions import (

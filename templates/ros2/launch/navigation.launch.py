@@ -1,6 +1,7 @@
 """Nav2 and its localization; the robot must run already."""
 
 import os
+import re
 
 # % if not turns_on_the_spot
 from ament_index_python.packages import get_package_share_directory
@@ -17,15 +18,14 @@ from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node, SetParameter
-from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
 PACKAGE = "{{ package }}"
-NAMESPACE = "{{ namespace }}"
+NAMESPACE = LaunchConfiguration("namespace")
 
 
 def generate_launch_description():
     """Return what this file starts."""
-    nav2 = os.path.join(SHARE, "config", "nav2.yaml")
     # % if map_sources
     launch = os.path.join(SHARE, "launch")
     # % endif
@@ -34,20 +34,20 @@ def generate_launch_description():
         "enable_stamped_cmd_vel": ParameterValue(LaunchConfiguration("stamped"), value_type=bool)
     }
 
-    def node(package, name, *parameters, remappings=()):
+    def node(package, name, *more, remappings=()):
         return Node(
             package=package,
             executable=name,
             name=name,
             namespace=NAMESPACE,
             output="screen",
-            parameters=[nav2, *parameters, stamped],
+            parameters=[parameters("nav2"), *more, stamped],
             remappings=remappings,
         )
 
     # velocity_smoother and collision_monitor pass the twists on to the base driver.
     out = [("cmd_vel", "cmd_vel_nav")]
-    costmap = [os.path.join(SHARE, "config", "global_costmap_"), localization, ".yaml"]
+    costmap = parameters("global_costmap_", localization)
     return launch_description(
         DeclareLaunchArgument(
             "use_sim_time", default_value="false", description="take the time from /clock"
@@ -116,4 +116,5 @@ NODES = [
 ]
 
 
+# % include "parameters.py"
 # % include "other_build.py"

@@ -1,6 +1,10 @@
 """Joints of ros2_control, which its controllers move, or the base driver through them."""
 
+import atexit
 import os
+import re
+import shutil
+import tempfile
 
 from launch import LaunchDescription
 from launch.actions import (
@@ -14,17 +18,16 @@ from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
-# % if command_topic
-from launch_ros.parameter_descriptions import ParameterValue
-# % endif
+from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
 PACKAGE = "{{ package }}"
-NAMESPACE = "{{ namespace }}"
+NAMESPACE = LaunchConfiguration("namespace")
 CONTROLLERS = [
     # % for name in controllers
     "{{ name }}",
     # % endfor
 ]
+MANAGER = ["/", LaunchConfiguration("name_prefix"), "controller_manager"]
 
 
 def generate_launch_description():
@@ -42,15 +45,10 @@ def generate_launch_description():
 
 def start(context):
     """Return the nodes."""
-    config = os.path.join(SHARE, "config")
     hardware = LaunchConfiguration("hardware").perform(context)
     has_clock = hardware == "mujoco"
     use_sim_time = {"use_sim_time": has_clock}
     package = "mujoco_ros2_control" if has_clock else "controller_manager"
-    # % if command_topic
-    with open(os.path.join(SHARE, "urdf", f"robot_{hardware}.urdf"), encoding="utf-8") as file:
-        description = file.read().replace("$(find {{ package }})", SHARE)
-    # % endif
     return [
         Node(
             package=package,
@@ -58,8 +56,10 @@ def start(context):
             name="controller_manager",
             namespace=NAMESPACE,
             output="screen",
-            parameters=[os.path.join(config, "controllers.yaml"), use_sim_time],
-            remappings=[{{ odometry_remapping }}],
+            parameters=[parameters("controllers"), use_sim_time],
+            # % if odometry_topic
+            remappings=[("{{ odometry_topic }}", "odometry/base_raw")],
+            # % endif
         ),
         Node(
             package="controller_manager",
@@ -67,7 +67,7 @@ def start(context):
             name="spawner",
             namespace=NAMESPACE,
             output="screen",
-            arguments=[*CONTROLLERS, "--controller-manager", "{{ controller_manager }}"],
+            arguments=[*CONTROLLERS, "--controller-manager", MANAGER],
         ),
         # % if command_topic
         Node(
@@ -77,8 +77,8 @@ def start(context):
             namespace=NAMESPACE,
             output="screen",
             parameters=[
-                os.path.join(config, "robot_state_publisher.yaml"),
-                {"robot_description": ParameterValue(description, value_type=str)},
+                parameters("robot_state_publisher"),
+                description_of(context, f"robot_{hardware}.urdf"),
                 use_sim_time,
             ],
         ),
@@ -88,7 +88,7 @@ def start(context):
             name="twist_mux",
             namespace=NAMESPACE,
             output="screen",
-            parameters=[os.path.join(config, "twist_mux.yaml"), use_sim_time],
+            parameters=[parameters("twist_mux"), use_sim_time],
             remappings=[("cmd_vel_out", "{{ command_topic }}")],
         ),
         # % else
@@ -106,4 +106,5 @@ def start(context):
     ]
 
 
+# % include "named_files.py"
 # % include "other_build.py"

@@ -1,6 +1,7 @@
 """slam_toolbox makes a map and gives the pose in it."""
 
 import os
+import re
 
 from launch import LaunchDescription
 from launch.actions import (
@@ -14,15 +15,14 @@ from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
 PACKAGE = "{{ package }}"
-NAMESPACE = "{{ namespace }}"
+NAMESPACE = LaunchConfiguration("namespace")
 
 
 def generate_launch_description():
     """Return what this file starts."""
-    config = os.path.join(SHARE, "config")
     use_sim_time = {
         "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
     }
@@ -36,7 +36,7 @@ def generate_launch_description():
             name="slam_toolbox",
             namespace=NAMESPACE,
             output="screen",
-            parameters=[os.path.join(config, "slam_toolbox.yaml"), use_sim_time],
+            parameters=[parameters("slam_toolbox"), use_sim_time],
         ),
         # slam_toolbox is a lifecycle node without the bond of Nav2's nodes.
         Node(
@@ -53,4 +53,5 @@ def generate_launch_description():
     )
 
 
+# % include "parameters.py"
 # % include "other_build.py"

@@ -1,6 +1,7 @@
 """A pad moves the robot, while its upper left or right button is held."""
 
 import os
+import re
 
 from launch import LaunchDescription
 from launch.actions import (
@@ -14,16 +15,14 @@ from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
 PACKAGE = "{{ package }}"
-NAMESPACE = "{{ namespace }}"
+NAMESPACE = LaunchConfiguration("namespace")
 
 
 def generate_launch_description():
     """Return what this file starts."""
-    config = os.path.join(SHARE, "config", "teleop_twist_joy.yaml")
-
     def argument(name, value_type):
         return ParameterValue(LaunchConfiguration(name), value_type=value_type)
 
@@ -50,7 +49,7 @@ def generate_launch_description():
             namespace=NAMESPACE,
             output="screen",
             parameters=[
-                config,
+                parameters("teleop_twist_joy"),
                 {"device_name": argument("teleop_controller", str)},
                 use_sim_time,
             ],
@@ -62,7 +61,7 @@ def generate_launch_description():
             namespace=NAMESPACE,
             output="screen",
             parameters=[
-                config,
+                parameters("teleop_twist_joy"),
                 {"publish_stamped_twist": argument("stamped", bool)},
                 use_sim_time,
             ],
@@ -71,4 +70,5 @@ def generate_launch_description():
     )
 
 
+# % include "parameters.py"
 # % include "other_build.py"

@@ -17,6 +17,9 @@ def main() -> None:
     client.wait("odometry", lambda: "base_raw" in client.last)
     odometry = client.last["base_raw"]
     assert (odometry.header.frame_id, odometry.child_frame_id) == (odom, frame)
+    client.wait("joint states", lambda: "joint_states" in client.last)
+    prefix = frame.removesuffix("base_link")
+    assert all(name.startswith(prefix) for name in client.last["joint_states"].name)
     client.arm()
     client.drive(0.3, source="teleop_joy")
 

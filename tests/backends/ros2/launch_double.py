@@ -13,9 +13,12 @@ from __future__ import annotations
 
 import abc
 import argparse
+import atexit
 import re
 import runpy
+import shutil
 import sys
+import tempfile
 import types
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -43,7 +46,7 @@ class Context:
     environment: dict[str, str] = field(default_factory=dict)
     started: list[Started] = field(default_factory=list)
     declared: dict[str, str] = field(default_factory=dict)
-    included: list[Path] = field(default_factory=list)
+    included: list[Included] = field(default_factory=list)
     parameters: dict[str, Any] = field(default_factory=dict)
 
     def text(self, value: Any) -> str:
@@ -58,6 +61,15 @@ class Context:
             return "".join(self.text(item) for item in value)
         raise LaunchError(f"expected a text or a substitution, got {value!r}")
 
+    def space(self, value: Any) -> str:
+        """Resolve the name space of a node in that of its group; it begins with a slash."""
+        text = self.text(value)
+        if not text.startswith("/"):
+            text = f"{self.configurations.get('ros_namespace', '').rstrip('/')}/{text}"
+        if not re.fullmatch(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+", text := text.rstrip("/") or "/"):
+            raise LaunchError(f"{text!r} is no name space of ROS")
+        return text
+
     def name(self, value: Any, pattern: re.Pattern[str] = TOPIC_NAME) -> str:
         """Resolve the name of a topic, a node or a name space."""
         text = self.text(value)
@@ -67,8 +79,22 @@ class Context:
 
 
 @dataclass
+class Included:
+    """A launch file that another one has included, with what it was given."""
+
+    path: Path
+    configurations: dict[str, str]
+    environment: dict[str, str]
+
+
+@dataclass
 class Started:
-    """A node or process that the launch starts; a process has an empty ``package``."""
+    """A node or process that the launch starts; a process has an empty ``package``.
+
+    - ``namespace``: name space without the first slash;
+    - ``files``: parameter files as the node gets them, with all substitutions resolved;
+    - ``sources``: the files that they were made of.
+    """
 
     package: str
     executable: str
@@ -76,6 +102,7 @@ class Started:
     namespace: str
     parameters: dict[str, Any]
     files: list[Path]
+    sources: list[Path]
     remappings: dict[str, str]
     arguments: list[str]
 
@@ -203,7 +230,8 @@ class IncludeLaunchDescription(Action):
             raise LaunchError(f"there is no launch file {path}")
         for name, value in self.arguments:
             context.configurations[name] = context.text(value)
-        context.included.append(path)
+        seen = Included(path, dict(context.configurations), dict(context.environment))
+        context.included.append(seen)
         before = dict(context.declared)
         context.declared.clear()
         visit_file(path, context)
@@ -228,10 +256,12 @@ class GroupAction(Action):
 
     def execute(self, context: Context) -> None:
         outer, parameters = dict(context.configurations), context.parameters
+        environment = dict(context.environment)
         for action in self.actions:
             action.visit(context)
         if self.scoped:
             context.configurations, context.parameters = outer, parameters
+            context.environment = environment
 
 
 class OpaqueFunction(Action):
@@ -251,6 +281,17 @@ class SetLaunchConfiguration(Action):
 
     def execute(self, context: Context) -> None:
         context.configurations[context.text(self.name)] = context.text(self.value)
+
+
+class PushRosNamespace(Action):
+    """Puts the nodes that start later in the group into a name space."""
+
+    def __init__(self, namespace: Any, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self.namespace = namespace
+
+    def execute(self, context: Context) -> None:
+        context.configurations["ros_namespace"] = context.space(self.namespace)
 
 
 class SetParameter(Action):
@@ -321,23 +362,24 @@ class Node(_Process):
 
     def execute(self, context: Context) -> None:
         files: list[Path] = []
+        sources: list[Path] = []
         parameters = dict(context.parameters)
         for given in self.parameters:
             if isinstance(given, Mapping):
                 parameters.update({key: _value(value, context) for key, value in given.items()})
                 continue
-            path = Path(context.text(given))
-            if not path.is_file():
-                raise LaunchError(f"there is no parameter file {path}")
-            files.append(path)
+            file = given if isinstance(given, ParameterFile) else ParameterFile(given)
+            sources.append(file.path(context))
+            files.append(file.evaluate(context))
         context.started.append(
             Started(
                 context.name(self.package, NODE_NAME),
                 context.name(self.executable, NODE_NAME),
                 context.name(self.name, NODE_NAME) if self.name else "",
-                context.name(self.namespace) if self.namespace else "",
+                context.space(self.namespace or "").strip("/"),
                 parameters,
                 files,
+                sources,
                 {context.name(a): context.name(b) for a, b in self.remappings},
                 [context.text(item) for item in self.arguments],
             )
@@ -396,6 +438,45 @@ class ParameterValue:
         return value
 
 
+class ParameterFile:
+    """A parameter file; with ``allow_substs``, the node gets a copy without substitutions."""
+
+    def __init__(self, param_file: Any, *, allow_substs: bool = False) -> None:
+        self.param_file, self.allow_substs = param_file, allow_substs
+
+    def path(self, context: Context) -> Path:
+        path = Path(context.text(self.param_file))
+        if not path.is_file():
+            raise LaunchError(f"there is no parameter file {path}")
+        return path
+
+    def evaluate(self, context: Context) -> Path:
+        path = self.path(context)
+        text = path.read_text(encoding="utf-8")
+        if not self.allow_substs:
+            if "$(" in text:
+                raise LaunchError(f"{path} has substitutions that are not allowed")
+            return path
+        copy = Path(tempfile.mkdtemp()) / path.name
+        atexit.register(shutil.rmtree, copy.parent, ignore_errors=True)
+        copy.write_text(substituted(text, context), encoding="utf-8")
+        return copy
+
+
+def substituted(text: str, context: Context) -> str:
+    """Resolve the substitutions ``$(var NAME)`` of a text; a backslash keeps what follows."""
+
+    def value(match: re.Match[str]) -> str:
+        if match["kept"] is not None:
+            return match["kept"]
+        kind, _, name = match["content"].partition(" ")
+        if kind != "var":
+            raise LaunchError(f"unknown substitution {match[0]}")
+        return LaunchConfiguration(name).perform(context)
+
+    return re.sub(r"\\(?P<kept>.)|\$\((?P<content>[^)]*)\)", value, text)
+
+
 # -- running ------------------------------------------------------------------------
 
 
@@ -435,8 +516,15 @@ def _modules(context: Context) -> Iterator[None]:
             "NotEqualsSubstitution": NotEqualsSubstitution,
         },
         "launch_ros": {},
-        "launch_ros.actions": {"Node": Node, "SetParameter": SetParameter},
-        "launch_ros.parameter_descriptions": {"ParameterValue": ParameterValue},
+        "launch_ros.actions": {
+            "Node": Node,
+            "PushRosNamespace": PushRosNamespace,
+            "SetParameter": SetParameter,
+        },
+        "launch_ros.parameter_descriptions": {
+            "ParameterFile": ParameterFile,
+            "ParameterValue": ParameterValue,
+        },
         "ament_index_python": {},
         "ament_index_python.packages": {"get_package_share_directory": share},
     }

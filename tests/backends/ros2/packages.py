@@ -11,6 +11,7 @@ from tests.backends.ros2.launch_double import Context, run
 from tests.examples import example_robot
 from thorvaldc.backends.ros2 import Ros2, package_of
 from thorvaldc.model import Fleet, Robot
+from thorvaldc.model.settings import NAME_PREFIX, NAME_SPACE
 
 # Stands for the launch file of ros_gz_sim, with one of its arguments.
 GZ_SIM = b"""\
@@ -62,11 +63,17 @@ def install_fleet(fleet: Fleet, folder: Path) -> dict[str, Path]:
     return {**shares, f"{fleet.name}_fleet": folder / "ros2"}
 
 
+def named(robot: Robot, path: str) -> str:
+    """Return a file of the package of a robot with the names that its launch files put in."""
+    text = package_of(robot)[path].decode()
+    return text.replace(NAME_PREFIX, robot.prefix).replace(NAME_SPACE, f"/{robot.namespace}")
+
+
 def parameter_files(robot: Robot) -> dict[str, dict[str, dict[str, Any]]]:
     """Return the parameters of each node, as rcl reads them, by the name of the file."""
     return {
-        Path(path).stem: read(data.decode())
-        for path, data in package_of(robot).items()
+        Path(path).stem: read(named(robot, path))
+        for path in package_of(robot)
         if path.startswith("config/") and path.endswith(".yaml") and "gz_bridge" not in path
     }
 
@@ -84,9 +91,15 @@ def parameters(robot: Robot) -> dict[str, dict[str, Any]]:
     return nodes
 
 
+_WRITTEN: dict[Path, list[Robot]] = {}
+
+
 def launch(robot: Robot, folder: Path, file: str, **arguments: str) -> Context:
-    """Execute a launch file of the package of a robot."""
-    shares = install(robot, folder)
+    """Execute a launch file of the package of a robot, which is written if it is not there."""
+    shares = {robot.ros.package: folder / robot.ros.package}
+    if robot not in _WRITTEN.get(folder, ()):
+        shares = install(robot, folder)
+        _WRITTEN[folder] = [robot]
     # Nav2 and ros_gz_sim are not installed where the tests run.
     shares["nav2_bt_navigator"] = folder / "nav2_bt_navigator"
     shares["ros_gz_sim"] = write(folder / "ros_gz_sim", {"launch/gz_sim.launch.py": GZ_SIM})

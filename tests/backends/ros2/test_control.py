@@ -10,7 +10,7 @@ import yaml
 
 from tests.backends.rcl_parameters import read
 from tests.backends.ros2.launch_double import Started, spawned_controllers
-from tests.backends.ros2.packages import braking_gently, launch, variant
+from tests.backends.ros2.packages import braking_gently, launch, named, variant
 from tests.backends.ros2.test_launch_files import depends
 from tests.examples import SAMPLED_ROBOTS, example_robot
 from thorvaldc.backends.ros2 import package_of
@@ -59,7 +59,7 @@ def test_twists_reach_the_controller_with_the_sources_of_the_driver(tmp_path: Pa
     topics = {values[f"topics.{source.name}.topic"] for source in robot.twist_sources}
     assert topics == {source.topic for source in robot.twist_sources}
     assert nodes["ros2_control_node"].remappings == {
-        "/r1/diff_drive_controller/odom": "/r1/odometry/base_raw"
+        "diff_drive_controller/odom": "odometry/base_raw"
     }
     pad = launch(robot, tmp_path, "teleop", stamped="true").started
     assert [n.parameters["publish_stamped_twist"] for n in pad if n.package != "joy"] == [True]
@@ -67,7 +67,7 @@ def test_twists_reach_the_controller_with_the_sources_of_the_driver(tmp_path: Pa
 
 def test_the_controller_brakes_with_the_decelerations_of_the_driver() -> None:
     robot = braking_gently(example_robot(DRIVEN))
-    values = read(package_of(robot)["config/controllers.yaml"].decode())["/diff_drive_controller"]
+    values = read(named(robot, "config/controllers.yaml"))["/diff_drive_controller"]
     linear, angular = robot.driver.top_speeds
     axes = ("linear.x", linear, 1.2, 0.25), ("angular.z", angular, 1.6, 0.9)
     for axis, speed, acceleration, deceleration in axes:
@@ -81,7 +81,7 @@ def test_the_controller_brakes_with_the_decelerations_of_the_driver() -> None:
 
 def test_the_one_owner_of_the_transform_from_odom() -> None:
     for owner in ("driver", "ekf"):
-        text = package_of(variant(DRIVEN, odom_tf=owner))["config/controllers.yaml"].decode()
+        text = named(variant(DRIVEN, odom_tf=owner), "config/controllers.yaml")
         values = read(text)["/diff_drive_controller"]
         assert values["enable_odom_tf"] is (owner == "driver")
 
@@ -105,7 +105,7 @@ def test_the_base_driver_moves_a_robot_that_no_controller_moves(
     for name in ("base_driver", "joint_guard"):
         assert nodes[name].parameters["joint_topics"] == dialect
     assert nodes["base_driver"].parameters["base"] == "topics"
-    values = read(package_of(robot)["config/controllers.yaml"].decode())
+    values = read(named(robot, "config/controllers.yaml"))
     assert values["/r1/joint_state_broadcaster"]["use_local_topics"] is True
 
 
@@ -130,9 +130,10 @@ def test_gazebo(name: str, arguments: dict[str, str], tmp_path: Path) -> None:
     topics = {entry["ros_topic_name"] for entry in bridged(nodes["gz_bridge"])}
     for parameter_node in ("robot_state_publisher", "gz_bridge"):
         assert nodes[parameter_node].parameters["use_sim_time"] is True
-    assert str(tmp_path) in context.environment["GZ_SIM_RESOURCE_PATH"]
-    assert context.configurations["gz_args"].startswith("-r ")
-    assert Path(context.configurations["gz_args"].removeprefix("-r ")).is_file()
+    (gazebo,) = (file for file in context.included if file.path.name == "gz_sim.launch.py")
+    assert str(tmp_path) in gazebo.environment["GZ_SIM_RESOURCE_PATH"]
+    assert gazebo.configurations["gz_args"].startswith("-r ")
+    assert Path(gazebo.configurations["gz_args"].removeprefix("-r ")).is_file()
     plugins = [str(plugin.get("name")) for plugin in model.iter("plugin")]
     assert "joint_states" not in topics  # of the base driver or of joint_state_broadcaster
     has_controllers = any("ros2_control" in plugin for plugin in plugins)

@@ -18,6 +18,7 @@ from tests.backends.ros2.packages import (
     install,
     install_fleet,
     launch,
+    named,
     variant,
     write,
 )
@@ -164,7 +165,7 @@ def test_a_package_starts_the_robot_of_another_build(
         for node in nodes.values():
             assert node.namespace == "r7"
             assert node.package != built.ros.package
-            for path in (*node.files, node.parameters.get("model_file", other)):
+            for path in (*node.sources, node.parameters.get("model_file", other)):
                 assert Path(path).is_relative_to(other)
         if driver := nodes.get("base_driver"):
             assert driver.package == "thorvald_4wd4ws_wide"
@@ -215,9 +216,7 @@ def test_description_is_the_urdf_of_the_package(tmp_path: Path) -> None:
     assert meshes
     start = f"package://{robot.ros.package}/"
     assert all(mesh is not None and mesh.removeprefix(start) in files for mesh in meshes)
-    driver = read(nodes["base_driver"].files[0].read_text(encoding="utf-8"))["/r1/base_driver"]
-    assert driver["base_frame_id"] in {link.get("name") for link in root.iter("link")}
-    assert driver["odom_frame_id"] == "r1/odom"
+    assert "r1/base_link" in {link.get("name") for link in root.iter("link")}
 
 
 @pytest.mark.parametrize("distro", DISTROS)
@@ -231,7 +230,7 @@ def test_the_pad_moves_the_robot(distro: str, tmp_path: Path) -> None:
     values = read(teleop.files[0].read_text(encoding="utf-8"))
     stamped = robot.ros.stamped
     assert values["/r1/teleop_twist_joy_node"]["publish_stamped_twist"] is stamped
-    driver = read(package_of(robot)["config/base_driver.yaml"].decode())["/r1/base_driver"]
+    driver = read(named(robot, "config/base_driver.yaml"))["/r1/base_driver"]
     assert driver["stamped"] is stamped
     # A twist with the time of another clock would be refused.
     nodes = started(robot, tmp_path, "teleop", use_sim_time="true")
@@ -281,6 +280,45 @@ def test_fleet(tmp_path: Path) -> None:
     assert len(without.started) == 2 * len(fleet.placements)
 
 
+def test_a_fleet_in_mujoco_has_one_clock(tmp_path: Path) -> None:
+    """The robot with the shortest control cycle publishes it, and all nodes use it."""
+    fleet = example_fleet("fleet_of_four")
+    first, second, *others = fleet.placements
+    driver = dataclasses.replace(second.robot.driver, rate=2.0 * first.robot.driver.rate)
+    fast = dataclasses.replace(second, robot=dataclasses.replace(second.robot, driver=driver))
+    fleet = dataclasses.replace(fleet, placements=(first, fast, *others))
+    shares = install_fleet(fleet, tmp_path)
+    file = shares["fleet_of_four_fleet"] / "launch" / "fleet.launch.py"
+    nodes = [n for n in run(file, shares, base="mujoco").started if n.name != "map_to_odom"]
+    assert all(node.parameters["use_sim_time"] is True for node in nodes)
+    drivers = {n.namespace: n.parameters for n in nodes if n.executable == "base_driver"}
+    assert list(drivers) == [placement.name for placement in fleet.placements]
+    assert {parameters["base"] for parameters in drivers.values()} == {"mujoco"}
+    clocks = [name for name, parameters in drivers.items() if parameters["publish_clock"]]
+    assert clocks == [second.name]
+
+
+def test_a_fleet_in_a_group_has_its_name_space(tmp_path: Path) -> None:
+    """The names of the robots are those of the fleet, whatever `namespace` is before."""
+    shares = install_fleet(example_fleet("fleet_of_four"), tmp_path)
+    file = shares["fleet_of_four_fleet"] / "launch" / "fleet.launch.py"
+    text = (
+        "from launch import LaunchDescription\n"
+        "from launch.actions import IncludeLaunchDescription, SetLaunchConfiguration\n"
+        "from launch.launch_description_sources import PythonLaunchDescriptionSource\n"
+        "from launch_ros.actions import PushRosNamespace\n"
+        "def generate_launch_description():\n"
+        f"    fleet = IncludeLaunchDescription(PythonLaunchDescriptionSource({str(file)!r}))\n"
+        "    other = SetLaunchConfiguration('namespace', 'other')\n"
+        "    return LaunchDescription([other, PushRosNamespace('farm'), fleet])\n"
+    )
+    path = write(tmp_path, {"farm.launch.py": text.encode()}) / "farm.launch.py"
+    for node in run(path, shares).started:
+        assert re.fullmatch("farm/(tall|slim|wide|six)", node.namespace)
+        if node.name == "map_to_odom":
+            assert node.arguments[-1] == f"{node.namespace}/odom"
+
+
 GZ_SIM_NODE = b"""\
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
@@ -326,10 +364,11 @@ def test_a_fleet_in_one_gazebo(tmp_path: Path) -> None:
 
 def test_rviz_shows_the_frames_and_topics_of_the_robot() -> None:
     robot = variant("4wd4ws_wide", namespace="r1")
-    config: Any = yaml.safe_load(package_of(robot)["rviz/robot.rviz"])
+    text = named(robot, "rviz/robot.rviz")
+    config: Any = yaml.safe_load(text)
     manager = config["Visualization Manager"]
     assert manager["Global Options"]["Fixed Frame"] == "r1/odom"
-    topics = re.findall(r'Value: "(\S+)"', package_of(robot)["rviz/robot.rviz"].decode())
+    topics = re.findall(r'Value: "(\S+)"', text)
     assert {"/r1/robot_description", "/r1/odometry/base_raw", "/r1/lidar_front/scan"} <= set(topics)
     assert all(topic.startswith("/r1/") for topic in topics)
 
@@ -389,5 +428,5 @@ def test_the_node_declares_every_parameter_of_the_base_driver(owner: str, tmp_pa
             if name != "use_sim_time":
                 assert type(value) is type(table[name].default_for(robot)), name
         assert driver.parameters["base"] in table["base"].choices
-    for name in ("stamped", "enable_odom_tf", "odom_frame_id", "base_frame_id"):
+    for name in ("stamped", "enable_odom_tf"):
         assert values[name] == table[name].default_for(robot)

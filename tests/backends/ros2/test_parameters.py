@@ -12,7 +12,7 @@ import yaml
 
 from bench.filters import CASES, MIXED
 from tests.backends.rcl_parameters import read
-from tests.backends.ros2.packages import DISTROS, parameters, variant
+from tests.backends.ros2.packages import DISTROS, named, parameters, variant
 from tests.examples import FOLDER, SAMPLED_ROBOTS, example_robot
 from tests.robots import make_robot
 from thorvaldc.backends.ros2 import package_of
@@ -34,11 +34,13 @@ def flat(value: Any, prefix: str = "") -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_rcl_and_pyyaml_read_the_same(name: str) -> None:
-    for path, data in package_of(example_robot(name)).items():
+    robot = example_robot(name)
+    for path in package_of(robot):
         if not path.endswith(".yaml") or "gz_bridge" in path:
             continue
-        nodes = read(data.decode())
-        for node, content in yaml.safe_load(data).items():
+        text = named(robot, path)
+        nodes = read(text)
+        for node, content in yaml.safe_load(text).items():
             plain = flat(content["ros__parameters"])
             full = node if node.startswith("/") else f"/{node}"
             assert plain == nodes[full]
@@ -50,9 +52,7 @@ def test_the_name_space_is_in_the_names_of_nodes_and_frames_once(namespace: str)
     nodes = parameters(variant("4wd4ws_wide", namespace=namespace))
     start = f"/{namespace}/" if namespace else "/"
     assert all(node.startswith(start) for node in nodes)
-    driver = nodes[f"{start}base_driver"]
-    assert driver["base_frame_id"] == f"{start[1:]}base_link"
-    assert driver["odom_frame_id"] == f"{start[1:]}odom"
+    assert nodes[f"{start}ekf_map"]["base_link_frame"] == f"{start[1:]}base_link"
     assert nodes[f"{start}robot_state_publisher"]["frame_prefix"] == ""
 
 
@@ -63,8 +63,6 @@ def test_base_driver_has_only_what_the_model_does_not_have(distro: str, owner: s
     assert driver == {
         "stamped": distro != "jazzy",
         "enable_odom_tf": owner == "driver",
-        "odom_frame_id": "odom",
-        "base_frame_id": "base_link",
         "publish_description": False,
         "autostart": True,
         "twist_covariance": "for_filters",

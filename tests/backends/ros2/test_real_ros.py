@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from tests.backends.ros2.packages import launch, parameter_files, variant, write
+from tests.backends.ros2.packages import launch, named, parameter_files, variant, write
 from tests.child_process import ChildProcess
 from tests.examples import SAMPLED_ROBOTS
 from tests.ros.environments import ROOT, each_distro, python_of, variables
-from thorvaldc.backends.ros2 import package_of
+from thorvaldc.model import Robot
 
 pytestmark = each_distro(both=True)
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service"}
@@ -55,9 +57,10 @@ def test_rcl_reads_every_value_with_its_type(distro: str, tmp_path: Path) -> Non
     jobs: dict[str, list[str]] = {}
     for name in SAMPLED_ROBOTS:
         robot = variant(name, distro=distro, odom_tf="ekf", namespace="r1")
-        folder = write(tmp_path / name, package_of(robot))
         for file, nodes in parameter_files(robot).items():
-            path = str(folder / "config" / f"{file}.yaml")
+            config = f"config/{file}.yaml"
+            folder = write(tmp_path / name, {config: named(robot, config).encode()})
+            path = str(folder / config)
             jobs[path] = list(nodes)
             expected |= {f"{path} {node}": values for node, values in nodes.items()}
     result = subprocess.run(
@@ -82,36 +85,57 @@ def test_rcl_reads_every_value_with_its_type(distro: str, tmp_path: Path) -> Non
 
 
 def test_the_launched_base_driver_drives_the_robot(distro: str, tmp_path: Path) -> None:
-    """Starts the program with the files and arguments of the launch file, and sends twists."""
     robot = variant("4wd4ws_wide", distro=distro, namespace="r1")
-    started = launch(robot, tmp_path, "ideal").started
+    with launched(distro, robot, tmp_path):
+        drive(distro, robot, tmp_path, "r1")
+
+
+def test_two_robots_of_one_package_drive(distro: str, tmp_path: Path) -> None:
+    robot = variant("2wd0ws_greenhouse", distro=distro)
+    spaces = ("a", "farm/b")
+    with contextlib.ExitStack() as stack:
+        for namespace in spaces:
+            stack.enter_context(launched(distro, robot, tmp_path, namespace=namespace))
+        for namespace in spaces:
+            drive(distro, robot, tmp_path, namespace)
+
+
+@contextlib.contextmanager
+def launched(distro: str, robot: Robot, folder: Path, **options: str) -> Iterator[None]:
+    """Runs the base driver with the files and arguments of the launch file."""
+    started = launch(robot, folder, "ideal", **options).started
     driver = next(node for node in started if node.name == "base_driver")
-    arguments = ["--ros-args", "-r", "__node:=base_driver", "-r", "__ns:=/r1"]
+    arguments = ["--ros-args", "-r", "__node:=base_driver", "-r", f"__ns:=/{driver.namespace}"]
     for file in driver.files:
         arguments += ["--params-file", str(file)]
     for name, value in driver.parameters.items():
         arguments += ["-p", f"{name}:={json.dumps(value)}"]
-    program = tmp_path / robot.ros.package / robot.ros.package / "base_driver.py"
+    program = folder / robot.ros.package / robot.ros.package / "base_driver.py"
     process = ChildProcess(
         [python_of(distro), str(program), *arguments],
-        env=variables(tmp_path),
+        env=variables(folder),
         stderr=subprocess.PIPE,
         text=True,
     )
     try:
-        stamped = str(robot.ros.stamped).lower()
-        result = subprocess.run(
-            [
-                *(python_of(distro), "-m", "tests.backends.ros2.drive_package"),
-                *("/r1", "r1/base_link", "r1/odom", stamped),
-            ],
-            cwd=ROOT,
-            env=variables(tmp_path),
-            capture_output=True,
-            text=True,
-            timeout=300,
-            check=False,
-        )
+        yield
     finally:
         process.end()
+
+
+def drive(distro: str, robot: Robot, folder: Path, namespace: str) -> None:
+    """Drives the robot in a name space, whose frames and joints have its name."""
+    stamped = str(robot.ros.stamped).lower()
+    result = subprocess.run(
+        [
+            *(python_of(distro), "-m", "tests.backends.ros2.drive_package"),
+            *(f"/{namespace}", f"{namespace}/base_link", f"{namespace}/odom", stamped),
+        ],
+        cwd=ROOT,
+        env=variables(folder),
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
     assert result.returncode == 0, result.stderr

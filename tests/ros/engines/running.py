@@ -13,8 +13,19 @@ from typing import Any
 
 from tests.child_process import ChildProcess, end_at_hang_up
 from tests.ros.environments import python_of, variables
+from thorvaldc.model.settings import NAME_PREFIX, NAME_SPACE
 
 GUARD = "import sys; from thorvaldc.ros.base_driver import guard; sys.exit(guard())"
+
+
+def named(package: Path, namespace: str = "") -> Path:
+    """Puts the names of a robot into the files of its package, as the launch files do."""
+    prefix = f"{namespace}/" if namespace else ""
+    for path in package.rglob("*"):
+        if path.suffix in (".yaml", ".urdf", ".sdf", ".xml", ".rviz"):
+            text = path.read_text(encoding="utf-8").replace(NAME_PREFIX, prefix)
+            path.write_text(text.replace(NAME_SPACE, f"/{namespace}"), encoding="utf-8")
+    return package
 
 
 @contextlib.contextmanager

@@ -50,7 +50,7 @@ def scene(physics: str, folder: Path, package: Path) -> Path:
 def build(name: str, folder: Path) -> Path:
     """Builds the package of an example, and returns its folder."""
     write(folder, emit(example_robot(name), ["ros2", "mjcf"]))
-    return folder / "ros2"
+    return running.named(folder / "ros2")
 
 
 def mission(
@@ -105,7 +105,7 @@ def test_a_fleet_drives_in_one_world(distro: str, physics: str, tmp_path: Path) 
     fleet = example_fleet("fleet_of_four")
     write(tmp_path, emit(fleet, ["ros2", "mjcf", "sdf"]))
     names = [placement.name for placement in fleet.placements]
-    packages = [tmp_path / name / "ros2" for name in names]
+    packages = [running.named(tmp_path / name / "ros2", name) for name in names]
     places = [[*p.pose.xyz[:2], p.pose.rpy()[2]] for p in fleet.placements]
     with contextlib.ExitStack() as stack:
         options = ("--namespaces", ",".join(names), "--places", json.dumps(places), *LOCKSTEP)

@@ -27,7 +27,7 @@ FAST = ("--lockstep", "--factor", "0")
 def build(folder: Path) -> Path:
     """Builds the package of a robot with four steered wheels, and returns its folder."""
     write(folder, emit(example_robot("4wd4ws_wide"), ["ros2", "mjcf"]))
-    return folder / "ros2"
+    return running.named(folder / "ros2")
 
 
 def arguments(package: Path, *options: str) -> list[str]:

@@ -22,6 +22,7 @@ from tests.simulation.sensors.rover import ALL_SENSORS, ROBOT, simulation
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
+from thorvaldc.model.settings import NAME_PREFIX
 from thorvaldc.simulation.records.mcap_writer import McapRecorder
 
 WORLD = """
@@ -156,7 +157,9 @@ def test_the_topics_satisfy_the_inputs_of_the_generated_files(
     robot = compile_file(tmp_path / "rover.yaml").model
     assert isinstance(robot, Robot)
     files = {
-        path: data.decode() for path, data in emit(robot, ["ros2"]).items() if "/m" not in path
+        path: data.decode().replace(NAME_PREFIX, "rover/")
+        for path, data in emit(robot, ["ros2"]).items()
+        if "/m" not in path
     }
     wanted: list[tuple[str, str, float]] = []  # topic, type, lowest rate
     for name in ("slam_toolbox", "nav2", "global_costmap_slam", "ekf_odom", "gnss"):
@@ -175,9 +178,9 @@ def test_the_topics_satisfy_the_inputs_of_the_generated_files(
             timeout = 1.0 / node.get("source_timeout", math.inf)
             wanted.append((topic, kind, max(timeout, node.get("update_frequency", 0.0))))
     for source, topic in re.findall(
-        r'\("([\w/]+)", "(/rover/[^"]+)"\)', files["ros2/launch/gnss.launch.py"]
+        r'\("(gps/fix|imu)", "([^"]+)"\)', files["ros2/launch/gnss.launch.py"]
     ):
-        wanted.append((topic, TYPES[source], 0.0))
+        wanted.append((f"/rover/{topic}", TYPES[source], 0.0))
     assert {topic for topic, _, _ in wanted} == {
         "/rover/lidar/scan",
         "/rover/tower/points",

@@ -1,6 +1,10 @@
 """Simulation in Gazebo, which gives the time of all nodes."""
 
+import atexit
 import os
+import re
+import shutil
+import tempfile
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
@@ -16,9 +20,10 @@ from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
 PACKAGE = "thorvald_4wd4ws_wide"
-NAMESPACE = ""
+NAMESPACE = LaunchConfiguration("namespace")
 PLACE = ("x", "y", "z", "R", "P", "Y")
 
 
@@ -46,24 +51,25 @@ def generate_launch_description():
 
 def start(context):
     """Return Gazebo with the robot in it."""
-    config = os.path.join(SHARE, "config")
     variant, moved_by = "", base_driver
-    with open(os.path.join(SHARE, "sdf", f"model{variant}.sdf"), encoding="utf-8") as file:
-        model = file.read().replace("$(find thorvald_4wd4ws_wide)", SHARE)
-    if LaunchConfiguration("driver_package", default="").perform(context):
-        model = model.replace("model://thorvald_4wd4ws_wide/", f"file://{SHARE}/")
-    place = [text for name in PLACE for text in (f"-{name}", LaunchConfiguration(name))]
+    model = text_of(context, f"sdf/model{variant}.sdf")
+    bridge = f"gz_bridge{variant}.yaml"
+    files = [f"config/{bridge}"]
+    config = copies_of(context, *files)
+    namespace = NAMESPACE.perform(context)[1:]
+    name = namespace.replace("/", "_") or "thorvald_4wd4ws_wide"
+    place = [text for axis in PLACE for text in (f"-{axis}", LaunchConfiguration(axis))]
     return [
         # Gazebo finds the meshes of the package in this folder.
         AppendEnvironmentVariable("GZ_SIM_RESOURCE_PATH", os.path.dirname(SHARE)),
-        *gazebo(LaunchConfiguration("world").perform(context), config),
+        *gazebo(LaunchConfiguration("world").perform(context)),
         Node(
             package="ros_gz_sim",
             executable="create",
             name="create",
             namespace=NAMESPACE,
             output="screen",
-            arguments=["-name", "thorvald_4wd4ws_wide", "-string", model, *place],
+            arguments=["-name", name, "-string", model, *place],
         ),
         Node(
             package="ros_gz_bridge",
@@ -72,15 +78,15 @@ def start(context):
             namespace=NAMESPACE,
             output="screen",
             parameters=[
-                {"config_file": os.path.join(config, f"gz_bridge{variant}.yaml")},
+                {"config_file": os.path.join(config, bridge)},
                 {"use_sim_time": True},
             ],
         ),
-        *moved_by(),
+        *moved_by(context),
     ]
 
 
-def gazebo(world, config):
+def gazebo(world):
     """Return Gazebo with its time on /clock, or nothing if it runs already."""
     if not world:
         return []
@@ -96,7 +102,7 @@ def gazebo(world, config):
             name="gz_bridge_clock",
             namespace=NAMESPACE,
             output="screen",
-            parameters=[{"config_file": os.path.join(config, "gz_bridge_clock.yaml")}],
+            parameters=[{"config_file": os.path.join(SHARE, "config", "gz_bridge_clock.yaml")}],
         ),
         # Gazebo sends the time at every step of the physics; the nodes get every 10th.
         Node(
@@ -117,7 +123,7 @@ def gazebo(world, config):
     ]
 
 
-def base_driver():
+def base_driver(context):
     """Return the nodes that move the robot by the base driver."""
     return [
         IncludeLaunchDescription(
@@ -133,12 +139,54 @@ def base_driver():
     ]
 
 
+def parameters(*name):
+    """Return the parameters in a file of the folder config, with the names of the robot."""
+    return ParameterFile([os.path.join(SHARE, "config", ""), *name, ".yaml"], allow_substs=True)
+
+
+def text_of(context, path):
+    """Return the text of a file of this package with the names of the robot."""
+    with open(os.path.join(SHARE, path), encoding="utf-8") as file:
+        text = file.read().replace("$(find thorvald_4wd4ws_wide)", SHARE)
+    for name in ("name_prefix", "namespace"):
+        text = text.replace(f"$(var {name})", LaunchConfiguration(name).perform(context))
+    if LaunchConfiguration("driver_package", default="").perform(context):
+        # Another package has started this build, which may not be installed.
+        for scheme in ("package", "model"):
+            text = text.replace(f"{scheme}://thorvald_4wd4ws_wide/", f"file://{SHARE}/")
+    return text
+
+
+def copies_of(context, *paths):
+    """Return a folder with copies of files of this package that have the names of the robot."""
+    folder = tempfile.mkdtemp(prefix="thorvald_4wd4ws_wide_")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    for path in paths:
+        text = text_of(context, path).replace('"../meshes/', f'"{SHARE}/meshes/')
+        with open(os.path.join(folder, os.path.basename(path)), "w", encoding="utf-8") as file:
+            file.write(text)
+    return folder
+
+
+def description_of(context, urdf):
+    """Return the robot_description in a file of the folder urdf, with the names of the robot."""
+    text, scene = text_of(context, f"urdf/{urdf}"), os.path.join(SHARE, "mjcf")
+    if scene in text:
+        text = text.replace(scene, copies_of(context, "mjcf/robot.xml", "mjcf/scene.xml"))
+    return {"robot_description": ParameterValue(text, value_type=str)}
+
+
 SHARE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
 
 def launch_description(*entities):
     """Return these entities, or the same launch file of the build that `model` names."""
     model = LaunchConfiguration("model")
+    namespace = DeclareLaunchArgument(
+        "namespace",
+        default_value="",
+        description="begins the names of the robot: nodes, topics, joints and frames",
+    )
     return LaunchDescription(
         [
             DeclareLaunchArgument(
@@ -147,12 +195,32 @@ def launch_description(*entities):
                 description="ros2/config/model.json of another build, which is started in place of"
                 " this one",
             ),
+            # The group keeps the names of this robot from others that are started later.
             GroupAction(
-                list(entities), scoped=False, condition=IfCondition(EqualsSubstitution(model, ""))
+                [namespace, OpaqueFunction(function=name_robot), *entities],
+                condition=IfCondition(EqualsSubstitution(model, "")),
             ),
             OpaqueFunction(function=other_build),
         ]
     )
+
+
+def name_robot(context):
+    """Set the full name space of the robot, and `name_prefix`, which the files contain."""
+    namespace = LaunchConfiguration("namespace").perform(context)
+    if not namespace.startswith("/"):
+        group = LaunchConfiguration("ros_namespace", default="").perform(context)
+        namespace = f"{group}/{namespace}"
+    names = [name for name in namespace.split("/") if name]
+    if not all(re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", name) for name in names):
+        raise RuntimeError(
+            f"namespace is {namespace}; expected names of letters, digits and underscores with"
+            " slashes between them, such as r1"
+        )
+    return [
+        SetLaunchConfiguration("namespace", "/" + "/".join(names)),
+        SetLaunchConfiguration("name_prefix", "".join(f"{name}/" for name in names)),
+    ]
 
 
 def other_build(context):

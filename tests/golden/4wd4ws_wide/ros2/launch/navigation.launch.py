@@ -1,6 +1,7 @@
 """Nav2 and its localization; the robot must run already."""
 
 import os
+import re
 
 from launch import LaunchDescription
 from launch.actions import (
@@ -14,35 +15,34 @@ from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node, SetParameter
-from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
 PACKAGE = "thorvald_4wd4ws_wide"
-NAMESPACE = ""
+NAMESPACE = LaunchConfiguration("namespace")
 
 
 def generate_launch_description():
     """Return what this file starts."""
-    nav2 = os.path.join(SHARE, "config", "nav2.yaml")
     launch = os.path.join(SHARE, "launch")
     localization = LaunchConfiguration("localization")
     stamped = {
         "enable_stamped_cmd_vel": ParameterValue(LaunchConfiguration("stamped"), value_type=bool)
     }
 
-    def node(package, name, *parameters, remappings=()):
+    def node(package, name, *more, remappings=()):
         return Node(
             package=package,
             executable=name,
             name=name,
             namespace=NAMESPACE,
             output="screen",
-            parameters=[nav2, *parameters, stamped],
+            parameters=[parameters("nav2"), *more, stamped],
             remappings=remappings,
         )
 
     # velocity_smoother and collision_monitor pass the twists on to the base driver.
     out = [("cmd_vel", "cmd_vel_nav")]
-    costmap = [os.path.join(SHARE, "config", "global_costmap_"), localization, ".yaml"]
+    costmap = parameters("global_costmap_", localization)
     return launch_description(
         DeclareLaunchArgument(
             "use_sim_time", default_value="false", description="take the time from /clock"
@@ -102,12 +102,22 @@ NODES = [
 ]
 
 
+def parameters(*name):
+    """Return the parameters in a file of the folder config, with the names of the robot."""
+    return ParameterFile([os.path.join(SHARE, "config", ""), *name, ".yaml"], allow_substs=True)
+
+
 SHARE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
 
 def launch_description(*entities):
     """Return these entities, or the same launch file of the build that `model` names."""
     model = LaunchConfiguration("model")
+    namespace = DeclareLaunchArgument(
+        "namespace",
+        default_value="",
+        description="begins the names of the robot: nodes, topics, joints and frames",
+    )
     return LaunchDescription(
         [
             DeclareLaunchArgument(
@@ -116,12 +126,32 @@ def launch_description(*entities):
                 description="ros2/config/model.json of another build, which is started in place of"
                 " this one",
             ),
+            # The group keeps the names of this robot from others that are started later.
             GroupAction(
-                list(entities), scoped=False, condition=IfCondition(EqualsSubstitution(model, ""))
+                [namespace, OpaqueFunction(function=name_robot), *entities],
+                condition=IfCondition(EqualsSubstitution(model, "")),
             ),
             OpaqueFunction(function=other_build),
         ]
     )
+
+
+def name_robot(context):
+    """Set the full name space of the robot, and `name_prefix`, which the files contain."""
+    namespace = LaunchConfiguration("namespace").perform(context)
+    if not namespace.startswith("/"):
+        group = LaunchConfiguration("ros_namespace", default="").perform(context)
+        namespace = f"{group}/{namespace}"
+    names = [name for name in namespace.split("/") if name]
+    if not all(re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", name) for name in names):
+        raise RuntimeError(
+            f"namespace is {namespace}; expected names of letters, digits and underscores with"
+            " slashes between them, such as r1"
+        )
+    return [
+        SetLaunchConfiguration("namespace", "/" + "/".join(names)),
+        SetLaunchConfiguration("name_prefix", "".join(f"{name}/" for name in names)),
+    ]
 
 
 def other_build(context):

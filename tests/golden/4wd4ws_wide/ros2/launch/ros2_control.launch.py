@@ -1,6 +1,10 @@
 """Joints of ros2_control, which its controllers move, or the base driver through them."""
 
+import atexit
 import os
+import re
+import shutil
+import tempfile
 
 from launch import LaunchDescription
 from launch.actions import (
@@ -14,14 +18,16 @@ from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
 PACKAGE = "thorvald_4wd4ws_wide"
-NAMESPACE = ""
+NAMESPACE = LaunchConfiguration("namespace")
 CONTROLLERS = [
     "joint_state_broadcaster",
     "drive_velocity_controller",
     "steering_position_controller",
 ]
+MANAGER = ["/", LaunchConfiguration("name_prefix"), "controller_manager"]
 
 
 def generate_launch_description():
@@ -39,7 +45,6 @@ def generate_launch_description():
 
 def start(context):
     """Return the nodes."""
-    config = os.path.join(SHARE, "config")
     hardware = LaunchConfiguration("hardware").perform(context)
     has_clock = hardware == "mujoco"
     use_sim_time = {"use_sim_time": has_clock}
@@ -51,8 +56,7 @@ def start(context):
             name="controller_manager",
             namespace=NAMESPACE,
             output="screen",
-            parameters=[os.path.join(config, "controllers.yaml"), use_sim_time],
-            remappings=[],
+            parameters=[parameters("controllers"), use_sim_time],
         ),
         Node(
             package="controller_manager",
@@ -60,7 +64,7 @@ def start(context):
             name="spawner",
             namespace=NAMESPACE,
             output="screen",
-            arguments=[*CONTROLLERS, "--controller-manager", "/controller_manager"],
+            arguments=[*CONTROLLERS, "--controller-manager", MANAGER],
         ),
         IncludeLaunchDescription(
             PythonLaunchDescriptionSource(os.path.join(SHARE, "launch", "base.launch.py")),
@@ -75,12 +79,54 @@ def start(context):
     ]
 
 
+def parameters(*name):
+    """Return the parameters in a file of the folder config, with the names of the robot."""
+    return ParameterFile([os.path.join(SHARE, "config", ""), *name, ".yaml"], allow_substs=True)
+
+
+def text_of(context, path):
+    """Return the text of a file of this package with the names of the robot."""
+    with open(os.path.join(SHARE, path), encoding="utf-8") as file:
+        text = file.read().replace("$(find thorvald_4wd4ws_wide)", SHARE)
+    for name in ("name_prefix", "namespace"):
+        text = text.replace(f"$(var {name})", LaunchConfiguration(name).perform(context))
+    if LaunchConfiguration("driver_package", default="").perform(context):
+        # Another package has started this build, which may not be installed.
+        for scheme in ("package", "model"):
+            text = text.replace(f"{scheme}://thorvald_4wd4ws_wide/", f"file://{SHARE}/")
+    return text
+
+
+def copies_of(context, *paths):
+    """Return a folder with copies of files of this package that have the names of the robot."""
+    folder = tempfile.mkdtemp(prefix="thorvald_4wd4ws_wide_")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    for path in paths:
+        text = text_of(context, path).replace('"../meshes/', f'"{SHARE}/meshes/')
+        with open(os.path.join(folder, os.path.basename(path)), "w", encoding="utf-8") as file:
+            file.write(text)
+    return folder
+
+
+def description_of(context, urdf):
+    """Return the robot_description in a file of the folder urdf, with the names of the robot."""
+    text, scene = text_of(context, f"urdf/{urdf}"), os.path.join(SHARE, "mjcf")
+    if scene in text:
+        text = text.replace(scene, copies_of(context, "mjcf/robot.xml", "mjcf/scene.xml"))
+    return {"robot_description": ParameterValue(text, value_type=str)}
+
+
 SHARE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
 
 def launch_description(*entities):
     """Return these entities, or the same launch file of the build that `model` names."""
     model = LaunchConfiguration("model")
+    namespace = DeclareLaunchArgument(
+        "namespace",
+        default_value="",
+        description="begins the names of the robot: nodes, topics, joints and frames",
+    )
     return LaunchDescription(
         [
             DeclareLaunchArgument(
@@ -89,12 +135,32 @@ def launch_description(*entities):
                 description="ros2/config/model.json of another build, which is started in place of"
                 " this one",
             ),
+            # The group keeps the names of this robot from others that are started later.
             GroupAction(
-                list(entities), scoped=False, condition=IfCondition(EqualsSubstitution(model, ""))
+                [namespace, OpaqueFunction(function=name_robot), *entities],
+                condition=IfCondition(EqualsSubstitution(model, "")),
             ),
             OpaqueFunction(function=other_build),
         ]
     )
+
+
+def name_robot(context):
+    """Set the full name space of the robot, and `name_prefix`, which the files contain."""
+    namespace = LaunchConfiguration("namespace").perform(context)
+    if not namespace.startswith("/"):
+        group = LaunchConfiguration("ros_namespace", default="").perform(context)
+        namespace = f"{group}/{namespace}"
+    names = [name for name in namespace.split("/") if name]
+    if not all(re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", name) for name in names):
+        raise RuntimeError(
+            f"namespace is {namespace}; expected names of letters, digits and underscores with"
+            " slashes between them, such as r1"
+        )
+    return [
+        SetLaunchConfiguration("namespace", "/" + "/".join(names)),
+        SetLaunchConfiguration("name_prefix", "".join(f"{name}/" for name in names)),
+    ]
 
 
 def other_build(context):

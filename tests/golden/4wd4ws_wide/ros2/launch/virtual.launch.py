@@ -1,6 +1,7 @@
 """The real driver on a simulated bus with simulated drives."""
 
 import os
+import re
 
 from launch import LaunchDescription
 from launch.actions import (
@@ -36,6 +37,11 @@ SHARE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 def launch_description(*entities):
     """Return these entities, or the same launch file of the build that `model` names."""
     model = LaunchConfiguration("model")
+    namespace = DeclareLaunchArgument(
+        "namespace",
+        default_value="",
+        description="begins the names of the robot: nodes, topics, joints and frames",
+    )
     return LaunchDescription(
         [
             DeclareLaunchArgument(
@@ -44,12 +50,32 @@ def launch_description(*entities):
                 description="ros2/config/model.json of another build, which is started in place of"
                 " this one",
             ),
+            # The group keeps the names of this robot from others that are started later.
             GroupAction(
-                list(entities), scoped=False, condition=IfCondition(EqualsSubstitution(model, ""))
+                [namespace, OpaqueFunction(function=name_robot), *entities],
+                condition=IfCondition(EqualsSubstitution(model, "")),
             ),
             OpaqueFunction(function=other_build),
         ]
     )
+
+
+def name_robot(context):
+    """Set the full name space of the robot, and `name_prefix`, which the files contain."""
+    namespace = LaunchConfiguration("namespace").perform(context)
+    if not namespace.startswith("/"):
+        group = LaunchConfiguration("ros_namespace", default="").perform(context)
+        namespace = f"{group}/{namespace}"
+    names = [name for name in namespace.split("/") if name]
+    if not all(re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", name) for name in names):
+        raise RuntimeError(
+            f"namespace is {namespace}; expected names of letters, digits and underscores with"
+            " slashes between them, such as r1"
+        )
+    return [
+        SetLaunchConfiguration("namespace", "/" + "/".join(names)),
+        SetLaunchConfiguration("name_prefix", "".join(f"{name}/" for name in names)),
+    ]
 
 
 def other_build(context):
