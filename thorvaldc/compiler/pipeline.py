@@ -320,15 +320,13 @@ def library_folders_of(
     """Returns the path of each library folder, and the name of the folder in diagnostics.
 
     The library folders that the document names are followed by the library folders of the user.
-
-    ``files``: path of the file of the document, and of that of its design, by the name in spans.
+    ``files``: paths of the file of the document, and of those of its design, by their names.
     """
     folders: list[tuple[Path, str]] = []
     for node in items(document.get("library")):
-        start = folder_of(node, files, base_dir)
+        start, prefix = folder_of(node, files, base_dir), posixpath.dirname(node.span.file)
         folder = start / str(node.value)
         if os.path.isdir(folder):
-            prefix = posixpath.dirname(node.span.file)
             name = posixpath.normpath(posixpath.join(prefix, str(node.value)))
             folders.append((folder, name))
         else:

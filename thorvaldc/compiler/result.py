@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from thorvaldc.model import Fleet
     from thorvaldc.model.scenario import Scenario
 
-SECTION = "accept"
+SECTION, FIRST_USE = "accept", "first used here"
 _LATER = "68"
 """First digits of codes that commands after the compilation report: backends and simulation."""
 _SHORT = ("modules", "robots")
@@ -118,10 +118,9 @@ class SourceFile:
     def change(self, changes: tuple[Change, ...]) -> None:
         """Replaces values of the document."""
         if self.document is not None and changes:
-            for change in changes:
-                if change.path == "extends":
-                    message = "the design of a unit is read before a value is set"
-                    self.shape.add("variation-path", message, change.value.where)
+            for change in (change for change in changes if change.path == "extends"):
+                message = "the design of a unit is read before a value is set"
+                self.shape.add("variation-path", message, change.value.where)
             self.changes = changes
             self.document = with_changes(self.document, changes, self.shape)
 
@@ -325,8 +324,7 @@ class Acceptance:
     - ``reason``: the user's reason.
     - ``span``: the entry in the document.
     - ``file``: name of the document in spans.
-    - ``places``: the key and value that ``at`` names, in the files of a unit and of its design, or
-      none for the whole document.
+    - ``places``: spans of the key and value that ``at`` names; none for the whole document.
     - ``is_module``: whether the document is a module file.
     - ``is_used``: whether a warning was accepted.
     """
@@ -432,12 +430,10 @@ def _places(document: Node, at: Node, report: Report) -> tuple[Span, ...]:
     keys = str(at.value).split(".")
     node, known = document, _known(document)
     for number, key in enumerate(keys):
-        child = _child(node, key)
+        child = {str(name): entry for name, entry in node.children()}.get(key)
         if child is None and number == 0:
-            sections = (document.get(name) for name in _SHORT)
-            child = next(
-                (entry for s in sections if s is not None and (entry := _child(s, key))), None
-            )
+            sections = (entries(document.get(name)) for name in _SHORT)
+            child = next((section[key] for section in sections if key in section), None)
         if child is None:
             where = f"`{'.'.join(keys[:number])}` has no" if number else "the document has no"
             report.add(
@@ -454,12 +450,6 @@ def _places(document: Node, at: Node, report: Report) -> tuple[Span, ...]:
 def _known(document: Node) -> list[str]:
     """Returns the first words of all places."""
     return [*entries(document), *(name for key in _SHORT for name in entries(document.get(key)))]
-
-
-def _child(node: Node, key: str) -> Node | None:
-    if isinstance(node.value, tuple):
-        return node.value[int(key)] if key.isdigit() and int(key) < len(node.value) else None
-    return node.get(key)
 
 
 def _is_inside(span: Span, place: Span) -> bool:
@@ -551,11 +541,9 @@ def _blamed_on_unit(report: Report, unit: SourceFile) -> Report:
     """Moves errors about values that two entries have, as CAN ids, to the entry of the unit."""
     moved = Report()
     for diagnostic in report:
-        span, (first, *others) = diagnostic.span, (*diagnostic.labels, None)
-        is_first = first is not None and first.text == "first used here"
-        if span and first and is_first and first.span.file == unit.name != span.file:
-            labels = [Label(span, "also here"), *filter(None, others)]
-            diagnostic = replace(diagnostic, span=first.span, labels=tuple(labels))
+        span, uses = diagnostic.span, [x.span for x in diagnostic.labels if x.text == FIRST_USE]
+        if span and uses and uses[0].file == unit.name != span.file:
+            diagnostic = replace(diagnostic, span=uses[0], labels=(Label(span, "also here"),))
         moved.put(diagnostic)
     return moved
 

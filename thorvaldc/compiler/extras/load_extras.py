@@ -24,12 +24,7 @@ from thorvaldc.compiler.hardware.hardware_reader import Hardware
 from thorvaldc.compiler.hardware.robot_parts import RobotParts
 from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.shapes.meshes import load_mesh
-from thorvaldc.compiler.source.input_file import (
-    FOLDERS,
-    XACRO_FILES,
-    folder_of,
-    report_missing,
-)
+from thorvaldc.compiler.source.input_file import FOLDERS, XACRO_FILES, folder_of, report_missing
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.readable_folders import is_below
 from thorvaldc.compiler.values.document_section import Section

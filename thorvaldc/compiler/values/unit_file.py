@@ -82,9 +82,9 @@ def _merged(design: Node, unit: Node, report: Report) -> Node:
         for keys, node, target in _values((first,), whole, entries(document).get(first)):
             name, where = ".".join(keys), node.where
             if spans.setdefault(keys, where) is not where:
-                label, hint = Label(spans[keys], "first used here"), "keep one of them"
+                labels = [Label(spans[keys], "first used here")]
                 message = f"the key `{name}` occurs twice"
-                report.add("yaml-duplicate-key", message, where, hint=hint, labels=[label])
+                report.add("yaml-duplicate-key", message, where, hint="keep one", labels=labels)
                 continue
             if node.value is None and node.span[1:3] == node.span[3:5]:
                 hint = "write `null` if the unit lacks it; else write its value"
@@ -125,9 +125,9 @@ def _nested(path: str, node: Node) -> tuple[str, Node]:
 
 def _values(keys: _Path, node: Node, target: Node | None) -> Iterator[_Value]:
     """Yields the values in a node of a unit with their paths, and what the design has there."""
-    if isinstance(node.value, dict) and node.value and target is not None:
+    if isinstance(node.value, dict) and target is not None:
         is_short = keys[-1] in SHORT_FORMS and isinstance(target.value, int | str)
-        has_items = isinstance(target.value, tuple) and all(map(str.isdigit, node.value))
+        has_items = isinstance(target.value, tuple) and all(map(str.isdigit, node.value or "x"))
         if isinstance(target.value, dict) or is_short or has_items:
             children = {str(key): child for key, child in target.children()}
             for key, inner in node.value.items():
