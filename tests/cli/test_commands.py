@@ -342,6 +342,26 @@ def test_new_creates_a_robot_without_errors(thorvaldc: Command, preset: str) -> 
     assert "already" in again.err
 
 
+def test_new_writes_the_file_of_a_unit_beside_its_design(thorvaldc: Command) -> None:
+    assert thorvaldc("new", "mine").status == 0
+    status, out, _ = thorvaldc("new", "second", "--of", "mine/robot.yaml")
+    assert (status, out.partition(":")[0]) == (0, "mine/second.yaml")
+    assert thorvaldc("check", "--strict", "mine/second.yaml").status == 0
+    modeline = Path("mine/second.yaml").read_text(encoding="utf-8").partition("\n")[0]
+    assert modeline == "# yaml-language-server: $schema=robot.schema.json"
+    difference = thorvaldc("diff", "mine/robot.yaml", "mine/second.yaml")
+    assert "~ name          mine -> second" in difference.out
+    for words, message in (
+        (("second", "--of", "mine/robot.yaml"), "mine/second.yaml exists already"),
+        (("third", "--of", "mine/robt.yaml"), "there is no file 'mine/robt.yaml'"),
+        (("third", "--of", "mine/robot.yaml", "--project"), "a design has its own"),
+        (("--of", "mine/robot.yaml"), "give the robot a name"),
+    ):
+        refused = thorvaldc("new", *words)
+        assert refused.status == 2
+        assert message in refused.err
+
+
 def test_new_asks_a_terminal_until_the_answers_are_right(
     thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

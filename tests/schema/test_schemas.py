@@ -245,6 +245,16 @@ def test_defaults_that_are_described_are_valid_and_equal(kind: Kind) -> None:
             ), name
 
 
+def test_other_editors_know_units_of_a_design() -> None:
+    validator = Draft202012Validator(bundle("robot"))
+    part = {"fl": {"can": 3}, "gnss": None}
+    unit = {"thorvaldc": 1, "extends": "design.yaml", "name": "a", "modules": part}
+    assert validator.is_valid(unit | {"modules.fl.can": 4})
+    assert not validator.is_valid(unit | {"drivr": {}})
+    for key in ("extends", "name"):
+        assert not validator.is_valid({k: value for k, value in unit.items() if k != key}), key
+
+
 def test_quantities_have_a_pattern_for_other_editors() -> None:
     validator = Draft202012Validator(bundle("robot"))
     document = {"thorvaldc": 1, "name": "a", "modules": {"f": {"type": "a/b"}}}

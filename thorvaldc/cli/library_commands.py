@@ -56,29 +56,42 @@ def new(
             "--project", help="Make a repository: robot, own module, scenario, CI, README."
         ),
     ] = False,
+    design: Annotated[
+        str,
+        typer.Option(
+            "--of", metavar="FILE", help="Write the file of a unit beside this file of its design."
+        ),
+    ] = "",
 ) -> int:
     from thorvaldc import __version__
     from thorvaldc.compiler import scaffolding
 
     if not name:
-        if not _is_terminal():
+        if design or not _is_terminal():
             raise typer.BadParameter(
                 "give the robot a name: thorvaldc new my_robot", param_hint="NAME"
             )
         preset = preset or _asked("Preset", _preset_problem, _preset_question())
         name = _asked("Name of the robot and its folder", _name_problem)
+    if design:
+        options.refuse_options({"--preset": preset, "--project": project}, "a design has its own")
     preset = preset or PRESET
     if problem := _name_problem(name):
         raise typer.BadParameter(problem, param_hint="NAME")
     if problem := _preset_problem(preset):
         raise typer.BadParameter(problem, param_hint="'--preset'")
+    if design and not Path(design).is_file():
+        raise typer.BadParameter(f"there is no file {design!r}", param_hint="'--of'")
+    folder = Path(design).parent if design else Path(name)
     files = (
         scaffolding.project_files(name, preset, __version__)
         if project
+        else scaffolding.unit_files(name, Path(design))
+        if design
         else scaffolding.robot_files(name, preset)
     )
     try:
-        scaffolding.write_new_files(Path(name), files)
+        scaffolding.write_new_files(folder, files)
     except FileExistsError as error:
         raise typer.BadParameter(f"{error} exists already", param_hint="NAME") from None
     if project:
@@ -90,10 +103,9 @@ def new(
         if wheel := scaffolding.missing_wheel(files):
             print(f"CI installs a wheel of thorvaldc; build it, and commit it:\n  {wheel}")
     else:
-        file = Path(name) / "robot.yaml"
-        print(
-            f"{file}: a {preset} robot. Next:\n  thorvaldc check {file}\n  thorvaldc build {file}"
-        )
+        file = folder / next(iter(files))
+        what = f"a unit of {design}" if design else f"a {preset} robot"
+        print(f"{file}: {what}. Next:\n  thorvaldc check {file}\n  thorvaldc build {file}")
     return DONE
 
 

@@ -43,12 +43,14 @@ from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
 from thorvaldc.compiler.source.input_file import (
     FOLDERS,
     check_no_link_outside,
+    folder_of,
     report_missing,
     unsaved_texts,
 )
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.overrides import Change, read_changes
 from thorvaldc.compiler.source.reader import MAX_BYTES, read_file
+from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Diagnostic, Report, Severity, Span
 from thorvaldc.diagnostics.files import read_bounded
 from thorvaldc.model import Robot
@@ -195,7 +197,8 @@ def compile_robot(source: SourceFile, library: Sequence[Path], trust: bool = Fal
     if _module_names(document):
         lock = read_robot_lock(source, compilation, report)
         folder = source.path.parent
-        modules = Library(library_folders_of(document, folder, library, report), folder)
+        folders = library_folders_of(document, folder, library, report, compilation.files)
+        modules = Library(folders, folder)
         resolver = Resolver(modules, report)
         invalid_modules = sorted(_module_names(source.document) - _module_names(document))
         instance = resolver.resolve(document, invalid_modules)
@@ -308,43 +311,53 @@ def _check_types(model: object, targets: object) -> None:
 
 
 def library_folders_of(
-    document: Node, base_dir: Path, library: Sequence[Path], report: Report
+    document: Node,
+    base_dir: Path,
+    library: Sequence[Path],
+    report: Report,
+    files: Mapping[str, Path],
 ) -> list[tuple[Path, str]]:
     """Returns the path of each library folder, and the name of the folder in diagnostics.
 
     The library folders that the document names are followed by the library folders of the user.
+    ``files``: paths of the file of the document, and of those of its design, by their names.
     """
     folders: list[tuple[Path, str]] = []
-    prefix = posixpath.dirname(document.span.file)
-    listed = document.get("library")
-    for node in listed.value if listed is not None and isinstance(listed.value, tuple) else ():
-        folder = base_dir / str(node.value)
+    for node in items(document.get("library")):
+        start, prefix = folder_of(node, files, base_dir), posixpath.dirname(node.span.file)
+        folder = start / str(node.value)
         if os.path.isdir(folder):
             name = posixpath.normpath(posixpath.join(prefix, str(node.value)))
             folders.append((folder, name))
         else:
-            report_missing("library-missing", base_dir, node, FOLDERS, report)
+            report_missing("library-missing", start, node, FOLDERS, report)
     return [*folders, *((folder, folder.name) for folder in library)]
 
 
 def _module_names(document: Node) -> set[str]:
     """Returns the names of the modules in a robot document."""
-    modules = document.get("modules")
-    return set(modules.value) if modules is not None and isinstance(modules.value, dict) else set()
+    return set(entries(document.get("modules")))
 
 
 def _modules_are_valid(source: SourceFile) -> bool:
     """Returns whether the section ``modules`` of a document has no errors against the schema."""
     modules = source.document.get("modules") if source.document is not None else None
-    return modules is None or not source.shape.has_error_in(modules.span)
+    if modules is None:
+        return True
+    spans = modules.places() if len(source.files) > 1 else (modules.span,)
+    return not any(map(source.shape.has_error_in, spans))
 
 
 def read_robot_lock(source: SourceFile, compilation: Compilation, report: Report) -> Lock | None:
-    """Returns the node ids in a robot's lock file, or ``None`` if the robot has no lock file."""
-    path = lock_path(source.path)
-    if not os.path.lexists(path):
+    """Returns the node ids in a robot's lock file, or ``None`` if the robot has no lock file.
+
+    A unit without a lock file begins with the ids of its design, whose spare parts fit it.
+    """
+    locks = {lock_path(Path(name)).as_posix(): lock_path(p) for name, p in source.files.items()}
+    name = next((name for name, path in locks.items() if os.path.lexists(path)), None)
+    if name is None:
         return None
-    name = lock_path(Path(source.name)).as_posix()
+    path = locks[name]
     if not check_no_link_outside(path, path.parent, name, report):
         return {}
     compilation.sources[os.path.normpath(path)] = path

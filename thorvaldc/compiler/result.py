@@ -33,6 +33,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.overrides import SETTING, Change, with_changes
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation import document_check
+from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import (
     Accepted,
     Code,
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
     from thorvaldc.model import Fleet
     from thorvaldc.model.scenario import Scenario
 
-SECTION = "accept"
+SECTION, FIRST_USE = "accept", "first used here"
 _LATER = "68"
 """First digits of codes that commands after the compilation report: backends and simulation."""
 _SHORT = ("modules", "robots")
@@ -91,6 +92,7 @@ class SourceFile:
     kind : kind of the document: ``robot``, ``fleet``, ``scenario`` or ``study``.
     shape : errors of the document against the schema, and errors of reading the file.
     changes : values that replace those of the file.
+    files : path of the file, and of those of the design of a unit, by their names in spans.
     """
 
     def __init__(self, path: Path, name: str, folder: Path) -> None:
@@ -105,17 +107,20 @@ class SourceFile:
             else document
         )
         self.changes: tuple[Change, ...] = ()
-        self.kind: Kind = "robot"
-        if document_check.is_study(self.document):
-            self.kind = "study"
-        elif document_check.is_scenario(self.document):
-            self.kind = "scenario"
-        elif document_check.is_fleet(self.document):
-            self.kind = "fleet"
+        self.files = {name: path}
+        self.kind: Kind = document_check.compiled_kind(self.document)
+        if self.kind == "robot" and self.document is not None and self.document.get("extends"):
+            # A robot without a design does not need this module.
+            from thorvaldc.compiler.values.unit_file import with_design
+
+            self.document = with_design(self.document, self.files, path, self.shape)
 
     def change(self, changes: tuple[Change, ...]) -> None:
         """Replaces values of the document."""
         if self.document is not None and changes:
+            for change in (change for change in changes if change.path == "extends"):
+                message = "the design of a unit is read before a value is set"
+                self.shape.add("variation-path", message, change.value.where)
             self.changes = changes
             self.document = with_changes(self.document, changes, self.shape)
 
@@ -173,7 +178,7 @@ class Compilation(HtmlView):
     @classmethod
     def of(cls, source: SourceFile) -> Compilation:
         """Returns a compilation of the file without a model and without diagnostics."""
-        return cls(folder=source.folder, files={source.name: source.path})
+        return cls(folder=source.folder, files=dict(source.files))
 
     def ports(self, robot: Robot) -> list[MountingPort]:
         """Returns the mounting ports of a robot of the compilation.
@@ -253,6 +258,8 @@ class Compilation(HtmlView):
             own = [*read_acceptances(source.document, invalid), *own]
         later = without_consequences(source.shape, report.excluding_spans_of(source.shape), own)
         later.extend(invalid)
+        if len(source.files) > 1:
+            later = _blamed_on_unit(later, source)
         self.acceptances = [*own, *(a for part in parts.values() for a in part.acceptances)]
         for stage_report in (source.shape, later):
             self.report.extend(self.located(stage_report))
@@ -317,7 +324,7 @@ class Acceptance:
     - ``reason``: the user's reason.
     - ``span``: the entry in the document.
     - ``file``: name of the document in spans.
-    - ``place``: the key and value that ``at`` names, or ``None`` for the whole document.
+    - ``places``: spans of the key and value that ``at`` names; none for the whole document.
     - ``is_module``: whether the document is a module file.
     - ``is_used``: whether a warning was accepted.
     """
@@ -326,7 +333,7 @@ class Acceptance:
     reason: str
     span: Span
     file: str
-    place: Span | None
+    places: tuple[Span, ...]
     is_module: bool
     is_used: bool = False
 
@@ -335,14 +342,14 @@ class Acceptance:
         if diagnostic.code != self.code:
             return False
         span = diagnostic.span
-        is_here = span is not None and span.file == self.file
+        is_here = span is not None and span.file in (self.file, *(p.file for p in self.places))
         if self.is_module and not is_here:
             return False
-        if self.place is None:
+        if not self.places:
             return True
         # A warning in a module file has a label at the module in the robot file.
         spans = [span] if is_here else [label.span for label in diagnostic.labels]
-        return any(place is not None and _is_inside(place, self.place) for place in spans)
+        return any(s is not None and _is_inside(s, place) for s in spans for place in self.places)
 
 
 def read_acceptances(document: Node, report: Report, is_module: bool = False) -> list[Acceptance]:
@@ -351,20 +358,19 @@ def read_acceptances(document: Node, report: Report, is_module: bool = False) ->
     Entries that do not match the schema are left out.  Reports codes that are not those of
     warnings, and places that do not exist.
     """
-    section = document.get(SECTION)
-    entries: list[Acceptance] = []
-    for entry in section.value if section is not None and isinstance(section.value, tuple) else ():
+    acceptances: list[Acceptance] = []
+    for entry in items(document.get(SECTION)):
         code_node, reason = entry.get("code"), entry.get("reason")
         at = entry.get("at")
         if code_node is None or reason is None or not isinstance(code_node.value, str):
             continue
         code = _warning_code(code_node, report)
-        place = _place(document, at, report) if at is not None else None
-        if code is None or (at is not None and place is None):
+        places = _places(document, at, report) if at is not None else ()
+        if code is None or (at is not None and not places):
             continue
         file = document.span.file
-        entries.append(Acceptance(code, str(reason.value), entry.span, file, place, is_module))
-    return entries
+        acceptances.append(Acceptance(code, str(reason.value), entry.span, file, places, is_module))
+    return acceptances
 
 
 def accept_warnings(report: Report, acceptances: Iterable[Acceptance]) -> None:
@@ -419,17 +425,15 @@ def _warning_code(node: Node, report: Report) -> Code | None:
     return code
 
 
-def _place(document: Node, at: Node, report: Report) -> Span | None:
-    """Returns the span of the key and value that a path such as ``modules.fl.params`` names."""
+def _places(document: Node, at: Node, report: Report) -> tuple[Span, ...]:
+    """Returns the spans of the key and value that a path such as ``modules.fl.params`` names."""
     keys = str(at.value).split(".")
     node, known = document, _known(document)
     for number, key in enumerate(keys):
-        child = _child(node, key)
+        child = {str(name): entry for name, entry in node.children()}.get(key)
         if child is None and number == 0:
-            sections = (document.get(name) for name in _SHORT)
-            child = next(
-                (entry for s in sections if s is not None and (entry := _child(s, key))), None
-            )
+            sections = (entries(document.get(name)) for name in _SHORT)
+            child = next((section[key] for section in sections if key in section), None)
         if child is None:
             where = f"`{'.'.join(keys[:number])}` has no" if number else "the document has no"
             report.add(
@@ -438,25 +442,14 @@ def _place(document: Node, at: Node, report: Report) -> Span | None:
                 at.span,
                 hint=did_you_mean(key, known, fixable=len(keys) == 1),
             )
-            return None
-        node, known = child, list(child.value) if isinstance(child.value, dict) else []
-    start = node.where
-    return Span(start.file, start.line, start.column, node.span.end_line, node.span.end_column)
+            return ()
+        node, known = child, list(entries(child))
+    return tuple(node.places())
 
 
 def _known(document: Node) -> list[str]:
     """Returns the first words of all places."""
-    names = list(document.value) if isinstance(document.value, dict) else []
-    for section in _SHORT:
-        node = document.get(section)
-        names += node.value if node is not None and isinstance(node.value, dict) else ()
-    return names
-
-
-def _child(node: Node, key: str) -> Node | None:
-    if isinstance(node.value, tuple):
-        return node.value[int(key)] if key.isdigit() and int(key) < len(node.value) else None
-    return node.get(key)
+    return [*entries(document), *(name for key in _SHORT for name in entries(document.get(key)))]
 
 
 def _is_inside(span: Span, place: Span) -> bool:
@@ -542,6 +535,17 @@ def _follows(diagnostic: Diagnostic, causes: list[Diagnostic]) -> bool:
 def _is_remark(diagnostic: Diagnostic) -> bool:
     """Returns whether a diagnostic is a warning or a note about the robot as a whole."""
     return diagnostic.severity is not Severity.ERROR and diagnostic.code.number >= "TV4"
+
+
+def _blamed_on_unit(report: Report, unit: SourceFile) -> Report:
+    """Moves errors about values that two entries have, as CAN ids, to the entry of the unit."""
+    moved = Report()
+    for diagnostic in report:
+        span, uses = diagnostic.span, [x.span for x in diagnostic.labels if x.text == FIRST_USE]
+        if span and uses and uses[0].file == unit.name != span.file:
+            diagnostic = replace(diagnostic, span=uses[0], labels=(Label(span, "also here"),))
+        moved.put(diagnostic)
+    return moved
 
 
 def _grouped(report: Report) -> Report:

@@ -13,6 +13,7 @@ from itertools import chain
 from pathlib import Path, PurePosixPath
 
 from thorvaldc.compiler.modules.library import FILE
+from thorvaldc.compiler.source.node import yaml_text
 from thorvaldc.diagnostics import Report, Span, plain
 from thorvaldc.diagnostics.files import write_file
 from thorvaldc.diagnostics.installation import origin
@@ -75,6 +76,14 @@ def robot_files(name: str, preset: str) -> dict[str, str]:
         "robot.yaml": _MODELINE + robot_text(name, preset),
         "robot.schema.json": schema_text("robot"),
     }
+
+
+def unit_files(name: str, design: Path) -> dict[str, str]:
+    """Returns the text of the file of a new unit of a design, by its name."""
+    text = (data_folder("templates") / "unit" / "unit.yaml").read_text(encoding="utf-8")
+    modeline = _MODELINE if (design.parent / "robot.schema.json").exists() else ""
+    text = text.replace("@NAME@", name).replace("@DESIGN@", yaml_text(design.name))
+    return {f"{name}.yaml": modeline + text}
 
 
 def project_files(name: str, preset: str, version: str) -> dict[str, str | bytes]:

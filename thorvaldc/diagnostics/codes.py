@@ -140,6 +140,8 @@ _TABLE: tuple[Code, ...] = (
     _error("TV327", "parameter-set-radii", "a parameter set names radii that no wheel has"),
     _error("TV328", "fleet-name-twice", "two robots of a fleet have the same name"),
     _error("TV329", "coupling-joint-unknown", "a coupling names a joint that does not exist"),
+    _error("TV330", "unit-design", "the design of a unit is missing, no robot, or in a circle"),
+    _warning("TV331", "unit-unchanged", "a unit states a value that its design has"),
     _error("TV340", "calibration-missing", "a robot names a calibration file that does not exist"),
     _error("TV341", "calibration-wheel", "a calibration names a wheel that does not exist"),
     _warning("TV342", "calibration-robot", "a calibration names another robot"),

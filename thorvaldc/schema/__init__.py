@@ -80,7 +80,23 @@ def bundle(kind: str) -> dict[str, Any]:
         }
 
     schema: dict[str, Any] = with_local_references(_load(kind))
+    if kind == "robot":
+        schema = _with_units(schema)
     return {**schema, "$defs": definitions}
+
+
+def _with_units(robot: dict[str, Any]) -> dict[str, Any]:
+    """Returns the schema of robots for editors: a unit states parts of modules, paths and null."""
+    modules = robot["properties"]["modules"]
+    module = modules["additionalProperties"]
+    complete = {"additionalProperties": {"type": "object", "required": module.pop("required")}}
+    module["type"] = ["object", "null"]
+    return robot | {
+        "required": [key for key in robot["required"] if key != "modules"],
+        "patternProperties": {r"^\w+\.": {}},
+        "if": {"required": ["extends"]},
+        "else": {"required": ["modules"], "properties": {"modules": complete}},
+    }
 
 
 def bounds_in_words(schema: dict[str, Any]) -> list[str]:

@@ -110,6 +110,30 @@ def test_a_run_demands_a_report_of_the_same_model(thorvaldc: Command, folder: Pa
     assert "right_drive_propulsion" not in other.err
 
 
+def test_the_report_of_a_unit_does_not_count_for_another_of_its_design(
+    thorvaldc: Command, folder: Path
+) -> None:
+    for name in ("first", "second"):
+        text = f"thorvaldc: 1\nextends: robot.yaml\nname: {name}\n"
+        (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
+    first, second = str(folder / "first.yaml"), str(folder / "second.yaml")
+    options = ("--bus", "virtual", "--fast", "--duration", "1s", "--commissioned")
+    assert thorvaldc("can", "commission", first, "--bus", "virtual").status == 0
+    assert thorvaldc("run", first, *options).status == 0
+    assert thorvaldc("run", second, *options).status == 1
+    report = (folder / "first.commission.json").read_text(encoding="utf-8")
+    (folder / "second.commission.json").write_text(report, encoding="utf-8")
+    refused = thorvaldc("run", second, *options)
+    assert refused.status == 1
+    assert "left_drive_propulsion was checked at the robot first" in refused.err
+    # Without a name of its own, no unit can claim the report of its design or of another unit.
+    text = "thorvaldc: 1\nextends: robot.yaml\n"
+    (folder / "second.yaml").write_text(text, encoding="utf-8")
+    unnamed = thorvaldc("run", second, *options)
+    assert unnamed.status == 1
+    assert "the robot document has no `name`" in unnamed.err
+
+
 def test_motors_that_have_passed_are_not_repeated(
     thorvaldc: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -196,3 +196,26 @@ async def test_the_outline_is_the_tree_of_modules(editor: Editor) -> None:
     ]
     details = [child.detail for child in modules.children or ()]
     assert details[1] == "assembly/steered_drive on frame.front_left"
+
+
+async def test_names_of_a_unit_lead_to_its_design(editor: Editor) -> None:
+    design = editor.write("design.yaml", ROBOT)
+    head = "thorvaldc: 1\nextends: design.yaml\nname: second\n"
+    text = head + "modules:\n  box: {type: sensor/imu, mount: frame.front_center}\n"
+    for place, line in (
+        ("extends: des|ign.yaml", 0),
+        ("mount: fra|me.front", ROBOT[: ROBOT.index("  frame:")].count("\n")),
+    ):
+        marked = editor.mark("unit.yaml", text.replace(place.replace("|", ""), place, 1))
+        answer = await editor.client.text_document_definition_async(
+            editor.at(types.DefinitionParams, marked)
+        )
+        assert isinstance(answer, types.Location)
+        assert answer.uri == uri_of(design)
+        assert answer.range.start.line == line
+    for text in (
+        "modules: {frame: {params: {len|gth: 1 m}}}\n",
+        "modules.frame.params.len|gth: 1 m\n",
+    ):
+        shown = await editor.hover("unit.yaml", head + text)
+        assert "**length** of `frame/tube_rectangular`" in shown

@@ -266,6 +266,19 @@ def test_a_word_beside_its_new_name_is_a_decision(thorvaldc: Command, renamed: N
     assert Path("robot.yaml").read_text(encoding="utf-8") == old
 
 
+def test_a_unit_is_upgraded_with_what_its_design_states(thorvaldc: Command) -> None:
+    Path("design.yaml").write_text(STATED, encoding="utf-8")
+    head = "thorvaldc: 1\nextends: design.yaml\nname: second\n"
+    Path("unit.yaml").write_text(head + "modules.fr.can: 7\n", encoding="utf-8")
+    unchanged = thorvaldc("upgrade", "unit.yaml")
+    assert (unchanged.status, unchanged.err) == (0, "")
+    text = head + "modules.fl.params.leg_drop: 290 mm\n"
+    Path("unit.yaml").write_text(text, encoding="utf-8")
+    result = thorvaldc("upgrade", "unit.yaml")
+    assert "unit.yaml:4:1: note[TV976]" in result.err
+    assert "`leg_drop` is not a word of the language any more" in result.err
+
+
 def test_check_says_what_stands_in_place_of_a_word(thorvaldc: Command) -> None:
     text = GOOD.replace("can: 1}\n  fr", "can: 1, params: {leg_drop: 290 mm}}\n  fr")
     Path("robot.yaml").write_text(text, encoding="utf-8")

@@ -24,7 +24,7 @@ from thorvaldc.compiler.hardware.hardware_reader import Hardware
 from thorvaldc.compiler.hardware.robot_parts import RobotParts
 from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.shapes.meshes import load_mesh
-from thorvaldc.compiler.source.input_file import FOLDERS, XACRO_FILES, report_missing
+from thorvaldc.compiler.source.input_file import FOLDERS, XACRO_FILES, folder_of, report_missing
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.readable_folders import is_below
 from thorvaldc.compiler.values.document_section import Section
@@ -96,11 +96,12 @@ def load_extras(
       installed ROS package.
     - ``trust``: whether the user trusts the xacro files as he trusts a program.
     """
-    relative_dir, base_dir = base_dir, base_dir.absolute()
+    relative_dir = folder_of(entries[0], files, base_dir)
+    base_dir = relative_dir.absolute()
     display = str(Path(entries[0].span.file).parent)
     paths = xacro_expand.DisplayPaths(base_dir, "" if display == "." else display, {})
     diagnostics = Report()
-    all_entries = [_Entry.read(node, base_dir, paths, diagnostics) for node in entries]
+    all_entries = [_Entry.read(node, base_dir, files, diagnostics) for node in entries]
     valid_entries = [entry for entry in all_entries if entry is not None]
     joiner = join_extras.ExtrasJoiner(dict(links), dict(joints), attach, diagnostics)
     requests = [entry.request for entry in valid_entries]
@@ -154,24 +155,25 @@ class _Entry:
 
     @staticmethod
     def read(
-        node: Node, base_dir: Path, paths: xacro_expand.DisplayPaths, report: Report
+        node: Node, base_dir: Path, files: Mapping[str, Path], report: Report
     ) -> _Entry | None:
         file_node = node.get("xacro")
         if file_node is None or not isinstance(file_node.value, str):
             return None  # reported by the schema check
-        file = base_dir / file_node.value
+        folder = folder_of(file_node, files, base_dir).absolute()
+        file = folder / file_node.value
         try:
             exists = file.is_file()
         except (OSError, ValueError):
             exists = False
         if not exists:
-            report_missing("extra-missing", base_dir, file_node, XACRO_FILES, report)
+            report_missing("extra-missing", folder, file_node, XACRO_FILES, report)
             return None
         packages = node.get("packages")
         schema = inlined("robot")["properties"]["extras"]["items"]
         values = Section(node, schema, ValueReader(report, on_robot=True))
         args, env = (_texts(node.get(key)) for key in ("args", "env"))
-        folders = _package_folders(packages, base_dir, report)
+        folders = _package_folders(packages, folder, report)
         parent = node.get("parent")
         placement_node = parent or node.get("xyz") or node.get("rpy")
         return _Entry(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 from thorvaldc.compiler.robot_settings.driver_settings import noise_of
-from thorvaldc.compiler.source.input_file import DOCUMENTS, report_missing
+from thorvaldc.compiler.source.input_file import DOCUMENTS, folder_of, report_missing
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
@@ -165,6 +165,7 @@ def load_calibration(
     node = document.get("calibration")
     if node is None or not isinstance(node.value, str):
         return None
+    base_dir = folder_of(node, files, base_dir)
     path = base_dir / node.value
     if not path.is_file():
         hint = "make it with `thorvaldc calibrate`, or leave the line out"

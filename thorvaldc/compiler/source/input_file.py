@@ -44,14 +44,24 @@ def unsaved_text(path: Path) -> bytes | None:
     return texts.get(os.path.realpath(path)) if texts else None
 
 
-def check_no_link_outside(path: Path, folder: Path, display: str, report: Report) -> bool:
+def folder_of(node: Node, files: Mapping[str, Path], folder: Path) -> Path:
+    """Returns the folder to which a path in a document is relative: that of the file with the path.
+
+    ``files``: paths by their names in spans.  ``folder``: that of a path that no file contains.
+    """
+    return files[node.span.file].parent if node.span.file in files else folder
+
+
+def check_no_link_outside(
+    path: Path, folder: Path, display: str, report: Report, span: Span | None = None
+) -> bool:
     """Returns whether a file is in a folder after its links, and reports an error if not."""
     if is_below(path, real_folders([folder])):
         return True
     report.add(
         "file-unreadable",
         f"`{display}` cannot be read: it is a link to a file outside of its folder",
-        Span(display),
+        span or Span(display),
         hint="copy the file to the place of the link",
     )
     return False

@@ -67,6 +67,12 @@ class Node(NamedTuple):
             return [node.plain() for node in self.value]
         return self.value
 
+    def places(self) -> Iterator[Span]:
+        """Yields the span of a key with its value, and those of values of another file in it."""
+        for _, node in self.walk():
+            if node is self or node.where.file != self.where.file:
+                yield Span(*node.where[:3], node.span.end_line, node.span.end_column)
+
     @property
     def where(self) -> Span:
         """Source span of the YAML key, or of the YAML value if the value has no key."""
@@ -256,6 +262,8 @@ def insertion(hint: str, mapping: Node, key: str, value: str, *, is_example: boo
     entries = mapping.value if isinstance(mapping.value, dict) else {}
     first = next(iter(entries.values()), None)
     start, entry = mapping.span, f"{key}: {value}"
+    if first is not None and first.where.file != start.file:  # of a unit, in its design
+        return Proposal(hint)
     if first is not None and first.where[:3] == start[:3]:
         # The keys of a YAML mapping without braces start in the same column.
         entry += "\n" + " " * (start.column - 1)
@@ -273,6 +281,8 @@ def removal(hint: str, mapping: Node, key: str) -> Proposal | str:
     Returns ``hint`` as plain text if the mapping has no other entry.
     """
     entries = list(mapping.value.items()) if isinstance(mapping.value, dict) else []
+    # A value of a unit is no neighbour of those of its design.
+    entries = [entry for entry in entries if entry[1].where.file == mapping.span.file]
     index = next((i for i, (name, _) in enumerate(entries) if name == key), None)
     if index is None or len(entries) < 2:
         return hint

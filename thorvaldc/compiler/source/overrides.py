@@ -9,17 +9,21 @@ from typing import NamedTuple
 
 from thorvaldc.compiler.source.node import Node, Value
 from thorvaldc.compiler.source.reader import read_text
-from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics import Report, Span, did_you_mean
 
 SETTING = "--set "
 """A span of a new value has a file name with this prefix, as in the option ``--set``."""
+
+SHORT_FORMS = {"can": "id", "base_calculator": "name"}
+"""Keys with a short form: ``can: 3`` is ``can: {id: 3}``, so that ``can.serial`` keeps the id."""
 
 
 class Change(NamedTuple):
     """A new value for one entry of a document.
 
     ``path`` is the dotted path of the entry in the document.  ``value`` is the new value of the
-    entry.  ``value.where`` is the source span of the path, for diagnostics.
+    entry; nothing (``null``) removes it.  ``value.where`` is the source span of the path, for
+    diagnostics.
     """
 
     path: str
@@ -153,11 +157,11 @@ def with_changes(document: Node, changes: Sequence[Change], report: Report) -> N
     Missing mappings on the path of a changed value are added.
     """
     for change in changes:
-        document = _with_change(document, change.path.split("."), change, report)
+        document = with_change(document, change.path.split("."), change, report)
     return document
 
 
-def _with_change(node: Node, keys: Sequence[str], change: Change, report: Report) -> Node:
+def with_change(node: Node, keys: Sequence[str], change: Change, report: Report) -> Node:
     """Returns a copy of a YAML node with one changed value.
 
     ``keys``: mapping keys and list indices that lead from the YAML node to the changed value.
@@ -165,14 +169,21 @@ def _with_change(node: Node, keys: Sequence[str], change: Change, report: Report
     if not keys:
         return change.value
     key, value = keys[0], node.value
-    if isinstance(value, dict):
+    removes = len(keys) == 1 and change.value.value is None
+    if isinstance(value, dict) and removes and key in value:
+        return node._replace(value={name: entry for name, entry in value.items() if name != key})
+    if isinstance(value, dict) and not removes:
         entry = value.get(key, Node({}, change.value.span, change.value.where))
-        return node._replace(value={**value, key: _with_change(entry, keys[1:], change, report)})
+        if len(keys) > 1 and key in SHORT_FORMS and isinstance(entry.value, int | str):
+            entry = entry._replace(value={SHORT_FORMS[key]: entry})
+        return node._replace(value={**value, key: with_change(entry, keys[1:], change, report)})
     if isinstance(value, tuple) and key.isascii() and key.isdigit() and int(key) < len(value):
         index = int(key)
-        element = _with_change(value[index], keys[1:], change, report)
+        element = with_change(value[index], keys[1:], change, report)
         return node._replace(value=(*value[:index], element, *value[index + 1 :]))
     container, hint = "a single value", None
+    if isinstance(value, dict):
+        container, hint = "the document to remove", did_you_mean(key, value)
     if isinstance(value, tuple):
         container = f"a list of {len(value)}"
         hint = f"its elements are 0 to {len(value) - 1}" if value else None

@@ -102,7 +102,7 @@ _NO_KIND = frozenset(["thorvaldc_lock", "motor_drives"])
 _KEYS_OF_KINDS: tuple[tuple[Kind, frozenset[str]], ...] = (
     ("study", frozenset(["study", "objectives", "samples"])),
     ("scenario", frozenset(["scenario", "script", "expect", "duration", "world"])),
-    ("robot", frozenset(["base_calculator", "extras", "buses", "design", "defaults"])),
+    ("robot", frozenset(["base_calculator", "extras", "buses", "design", "defaults", "extends"])),
     ("fleet", frozenset(["robots"])),
     ("bus_faults", frozenset(["faults", "quirks"])),
     ("module", frozenset(["params", "links", "joints", "ports", "let", "category", "mount"])),
@@ -175,6 +175,13 @@ def is_fleet(document: Node | None) -> bool:
 def _contains_robots(node: Node) -> bool:
     entries = node.value if isinstance(node.value, dict) else {}
     return bool(entries) and all(entry.get("robot") is not None for entry in entries.values())
+
+
+def compiled_kind(document: Node | None) -> Kind:
+    """Returns the kind of a document that can be compiled: a robot, unless its keys say more."""
+    if is_study(document) or is_scenario(document):
+        return "study" if is_study(document) else "scenario"
+    return "fleet" if is_fleet(document) else "robot"
 
 
 # Kinds of documents that a user may pass instead of a robot, fleet or scenario document.  Each kind

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.commissioning import commission_report
+from thorvaldc.compiler.result import SourceFile
 from thorvaldc.compiler.robot_settings.wheel_calibration import Calibration, load_calibration
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.diagnostics import Report
@@ -190,8 +191,9 @@ def overlay_text(result: calibration.CalibrationResult, robot: Path) -> str:
     Radii and offsets that were not estimated are copied from the calibration file that the robot
     file includes.
     """
-    document = read_file(robot, robot.name, Report())
-    present = load_calibration(document, robot.parent, Report(), {}) if document else None
+    source = SourceFile(robot, robot.name, robot.parent)
+    document, files = source.document, source.files
+    present = load_calibration(document, robot.parent, Report(), files) if document else None
     return overlay(result, present)
 
 

@@ -197,7 +197,7 @@ def _references(
     elif len(inside) == 2 and inside[0] == "channels":
         yield from _words(view.motors(), "Field", "motor")
     elif path[-1:] == ("bus",):
-        yield from _words(entries(view.tree.get("buses")), "Variable", "bus")
+        yield from _words(entries(view.document.get("buses")), "Variable", "bus")
     elif path[-1:] == ("color",):
         yield from _words(view.library.palette(), "Color", "colour of the palette")
     elif path == ("base_calculator",) or path == ("base_calculator", "name"):

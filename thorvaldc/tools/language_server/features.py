@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lsprotocol import types
@@ -77,6 +77,7 @@ def completion(
     cursor = cursor_at(document.text, offset)
     tree = code_completion.tree_around(document.source, cursor, offset, str(document.path))
     view = ModuleView(document.kind, document.path, tree, session.folders)
+    cursor = replace(cursor, path=view.full_path(cursor.path))
     items = [
         _completion_item(document.source, cursor.start, offset, number, proposal)
         for number, proposal in enumerate(

@@ -18,7 +18,7 @@ from thorvaldc.model.sums import float_sum
 from thorvaldc.schema import bounds_in_words
 from thorvaldc.tools.language_server.module_references import Reference, reference_at
 from thorvaldc.tools.language_server.module_view import ModuleView, Parameter, Port, Schemas
-from thorvaldc.tools.language_server.open_document import Place, place_at
+from thorvaldc.tools.language_server.open_document import Place
 
 Hover = tuple[str, Span]
 """Text in Markdown, and the span that it describes."""
@@ -29,7 +29,7 @@ def hover_at(view: ModuleView, model: Robot | Fleet | None, line: int, column: i
 
     - ``model``: model of the last analysis without errors.
     """
-    place = place_at(view.tree, line, column)
+    place = view.place_at(line, column)
     if place is None:
         return None
     reference = reference_at(view, place, column)

@@ -143,7 +143,7 @@ class Use:
 
 def module_at(view: ModuleView, line: int, column: int) -> tuple[str, Span] | None:
     """Returns the name of the module at a line and column, and the span of the name."""
-    place = open_document.place_at(view.tree, line, column)
+    place = view.place_at(line, column)
     if place is None:
         return None
     if place.part == "key":
@@ -284,7 +284,7 @@ TOP = Span("", 1, 1, 1, 1)
 
 def definition_at(view: ModuleView, line: int, column: int) -> Target | None:
     """Returns where the name at a line and column, which start at 1, is defined."""
-    place = open_document.place_at(view.tree, line, column)
+    place = view.place_at(line, column)
     if place is None:
         return None
     if place.part == "key":
@@ -308,8 +308,8 @@ def _target(view: ModuleView, reference: Reference) -> Target | None:
     owner = reference.whole.rpartition(".")[0]
     section = f"{reference.kind}s"
     if not owner:
-        node = open_document.node_at(view.tree, ("modules", reference.name))
-        return (view.path, node.where) if node is not None else None
+        node = open_document.node_at(view.document, ("modules", reference.name))
+        return (Path(node.where.file), node.where) if node is not None else None
     module = _type_at(view, owner)
     return _in_module(module, section, reference.name) or _in_module(
         module, "modules", reference.name

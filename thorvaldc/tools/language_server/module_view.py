@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,12 @@ from thorvaldc.compiler.source.node import KeyPath, Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.document_section import read_pose
+from thorvaldc.compiler.values.unit_file import with_design
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Pose
 from thorvaldc.schema import Kind, inlined
-from thorvaldc.tools.language_server.open_document import node_at
+from thorvaldc.tools.language_server.open_document import Place, node_at, place_at
 
 CANOPEN_IDS = (1, 127)
 CANOPEN = "canopen"
@@ -70,7 +71,11 @@ class Parameter:
 
 
 class ModuleView:
-    """The library, modules, ports and parameters that a document can refer to."""
+    """The library, modules, ports and parameters that a document can refer to.
+
+    ``tree`` is the document as it is written, ``document`` that of a unit with the entries of its
+    design.  ``named_folders`` are the library folders that a robot names.
+    """
 
     def __init__(
         self, kind: Kind, path: Path, tree: Node | None, folders: tuple[Path, ...]
@@ -78,19 +83,39 @@ class ModuleView:
         self.kind = kind
         self.path = path
         self.tree = tree if tree is not None else Node({}, Span(path.name))
+        self.document = self.tree
+        self.named_folders: tuple[Path, ...] = ()
         if kind == "module":
             self.type_name, self.library = module_library(path, folders)
         else:
             self.type_name = ""
-            named = library_folders_of(self.tree, path.parent, (), Report())
-            self.library = Library([(folder, str(folder)) for folder, _ in named])
+            files: dict[str, Path] = {}
+            if self.is_unit:
+                self.document = with_design(self.tree, files, path, Report()) or self.tree
+            named = library_folders_of(self.document, path.parent, (), Report(), files)
+            self.named_folders = tuple(folder for folder, _ in named)
+            self.library = Library([(folder, str(folder)) for folder in self.named_folders])
+
+    @property
+    def is_unit(self) -> bool:
+        """Whether the document is that of a unit of a design."""
+        return self.kind == "robot" and self.tree.get("extends") is not None
+
+    def place_at(self, line: int, column: int) -> Place | None:
+        """Returns the innermost node at a line and column, see ``open_document.place_at``."""
+        place = place_at(self.tree, line, column)
+        return replace(place, path=self.full_path(place.path)) if place is not None else None
+
+    def full_path(self, path: KeyPath) -> KeyPath:
+        """Returns a path with all its keys: the first key of a unit can be a dotted path."""
+        return (*str(path[0]).split("."), *path[1:]) if path and self.is_unit else path
 
     @cached_property
     def root(self) -> Instance:
         """The root of the tree of module instances; its children are the modules that resolve."""
         report = Report()
-        check(self.tree, self.kind, report)
-        document = without_invalid_values(self.tree, report)
+        check(self.document, self.kind, report)
+        document = without_invalid_values(self.document, report)
         if document.value is None:
             document = Node({}, self.tree.span)
         return Resolver(self.library, Report()).resolve(document)
@@ -116,7 +141,7 @@ class ModuleView:
 
         An expression such as ``${wheel}`` is the default value of the parameter.
         """
-        mapping = node_at(self.tree, path)
+        mapping = node_at(self.document, path)
         type_node = mapping.get("type") if mapping is not None else None
         if mapping is not None and isinstance(mapping.value, str):
             type_node = mapping
@@ -240,7 +265,7 @@ class ModuleView:
             if _id_space(leaf) == space and leaf.can is not address
         }
         if space == CANOPEN:
-            foreign = entries(self.tree.get("foreign_devices")).values()
+            foreign = entries(self.document.get("foreign_devices")).values()
             taken |= {_id(node) for node in foreign}
         can = device.type.document.get("can")
         bounds = can.get("auto_ids") or can.get("ids") if can is not None else None

@@ -19,7 +19,7 @@ from pygls.lsp.server import LanguageServer
 from thorvaldc import __version__
 from thorvaldc.compiler.catalogue import check_module
 from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY, module_library
-from thorvaldc.compiler.pipeline import compile_file, library_folders_of
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.validation.document_check import check
@@ -28,6 +28,7 @@ from thorvaldc.model import Fleet, Robot
 from thorvaldc.schema import Kind
 from thorvaldc.tools.language_server import features
 from thorvaldc.tools.language_server.features import RenameError, Session
+from thorvaldc.tools.language_server.module_view import ModuleView
 from thorvaldc.tools.language_server.open_document import (
     OpenDocument,
     open_document,
@@ -480,14 +481,10 @@ def analyse(
 
 
 def library_of(document: OpenDocument) -> tuple[Path, ...]:
-    """Returns the library folders that a robot document names."""
-    if "library" not in document.text:
+    """Returns the library folders that a robot document, or its design, names."""
+    if "library" not in document.text and "extends" not in document.text:
         return ()
-    node = read_text(document.encoded, document.path.name, Report())
-    if node is None:
-        return ()
-    folders = library_folders_of(node, document.path.parent, (), Report())
-    return tuple(folder for folder, _ in folders)
+    return ModuleView("robot", document.path, document.tree, ()).named_folders
 
 
 def _checked_alone(

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_text
+from thorvaldc.compiler.values.unit_file import with_design
 from thorvaldc.diagnostics import Fix, Report, Span
 from thorvaldc.schema import Kind
 
@@ -38,6 +39,17 @@ class Document:
     def real_path(self) -> str:
         """Path without symbolic links."""
         return os.path.realpath(self.path)
+
+    @property
+    def is_unit(self) -> bool:
+        """Whether it is the file of a unit, which names that of its design."""
+        return self.kind == "robot" and self.root.get("extends") is not None
+
+    @cached_property
+    def whole(self) -> Node:
+        """The YAML tree, of a unit with the entries of its design."""
+        whole = with_design(self.root, {}, self.path, Report()) if self.is_unit else None
+        return whole or self.root
 
     @cached_property
     def text(self) -> str:

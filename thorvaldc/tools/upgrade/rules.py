@@ -69,10 +69,12 @@ class Rule(NamedTuple):
 def find_old_words(document: Document, context: Context) -> Iterator[Fix | Decision]:
     """Yields the words that the language had: renamed ones as changes, others as decisions."""
     for path, node in document.root.walk():
+        if path and document.is_unit:  # its first key can be a dotted path
+            path = (*str(path[0]).split("."), *path[1:])
         if node.key_span is not None:
             for word in old_keys(document.kind, path):
                 siblings = _at(document.root, path[:-1])
-                if not word.types or _type_of(document.root, path) in word.types:
+                if not word.types or _type_of(document.whole, path) in word.types:
                     yield _renamed(word, node.key_span, word.new in siblings)
         word_of_value = old_value(document.kind, path, node.value)
         if word_of_value is not None:
@@ -205,7 +207,9 @@ class Default(NamedTuple):
 
     def find(self, document: Document, context: Context) -> Iterator[Decision]:
         """Yields a decision for each mapping that does not state the key."""
-        for owner, span in _owners(document.root, self.path[:-1]):
+        for owner, span in _owners(document.whole, self.path[:-1]):
+            if span.file != document.root.span.file:
+                continue  # of the design of a unit
             stated = entries(owner)
             if self.path[-1] in stated:
                 continue
@@ -232,12 +236,13 @@ def find_batteries(document: Document, context: Context) -> Iterator[Decision]:
     """Yields a decision if several batteries are connected in an unknown way."""
     batteries = [
         module
-        for module in entries(document.root.get("modules")).values()
+        for module in entries(document.whole.get("modules")).values()
         if (kind := module.get("type")) is not None
         and str(kind.value).startswith("battery/")
         and not _is_empty(module)
     ]
-    if len(batteries) > 1 and document.root.get("batteries") is None:
+    here = len(batteries) > 1 and batteries[1].where.file == document.root.span.file
+    if here and document.whole.get("batteries") is None:
         yield Decision(
             batteries[1].where,
             "the robot has several batteries and does not state how they are connected",
