@@ -26,6 +26,7 @@ STEPS = 56  # steps of MPPI; 2.8 s ahead
 REVERSE_SHARE = 0.5  # speed in reverse, as a fraction of the robot's limit
 RESOLUTION = 0.05  # m, edge of a cell of the costmaps
 MARGIN = 0.3  # m, distance to obstacles that the planner prefers
+MONITOR_ZEROS = 3600.0  # s; the collision monitor sends zeros as long as Nav2 commands
 LOWEST_OBSTACLE = 0.1  # m above the ground, of points of 3d lidars
 
 
@@ -157,10 +158,20 @@ def nav2(robot: Robot, parts: ros2_parts.Parts) -> dict[str, Parameters]:
             "min_velocity": [-speed for speed in speeds],
             "max_accel": axes(driver.max_linear_acceleration, driver.max_angular_acceleration),
             "max_decel": [-deceleration for deceleration in axes(*driver.decelerations)],
-            "velocity_timeout": driver.command_timeout,
+            "velocity_timeout": _velocity_timeout(driver),
         },
         "collision_monitor": {**stamped, **_collision_monitor(robot, parts)},
     }
+
+
+def _velocity_timeout(driver: DriverSettings) -> float:
+    """Return the time in s after which the smoother begins to stop without new commands.
+
+    It repeats the stamp of the last command until then, and stamps anew from the second message
+    on: two periods before the driver refuses the old stamp, ``auto_nav`` does not fall silent.
+    """
+    timeout = driver.command_timeout
+    return max(0.5 * timeout, round(timeout - 2.0 / CONTROLLER_FREQUENCY, 9))
 
 
 def odometry_topic(parts: ros2_parts.Parts) -> str:
@@ -345,6 +356,8 @@ def _collision_monitor(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
         ),
         "transform_tolerance": 0.2,
         "source_timeout": 1.0,
+        # After a silence, the driver would await a zero when the way is free again.
+        "stop_pub_timeout": MONITOR_ZEROS,
         "polygons": ["FootprintApproach"],
         "FootprintApproach": {
             "type": "polygon",
