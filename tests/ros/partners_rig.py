@@ -1,9 +1,9 @@
 """Plays the scripts of partners to the node of the base driver, and says what the robot did.
 
-``python -m tests.ros.partners_rig PACKAGE SCRIPTS.yaml DISTRO TARGET...`` prints the answers as
-JSON.  Nothing depends on real time: the node, with the base `ideal`, runs a control cycle of 20 ms
-for each step of the script; each step ends when the messages have arrived.  The clock with which
-the node watches /clock is that of the script too.
+``python -m tests.ros.partners_rig PACKAGES SCRIPTS.yaml NAME DISTRO`` prints the answers as JSON.
+Nothing depends on real time: the node, with the base `ideal`, runs a control cycle of 20 ms for
+each step of the script; each step ends when the messages have arrived.  The clock with which the
+node watches /clock is that of the script too.
 """
 
 from __future__ import annotations
@@ -42,8 +42,10 @@ BEFORE = 1.0
 REAL_TIME = 1.75e9
 """Clock (s) of a partner that does not use the simulated time."""
 MOVES, STANDS = 0.02, 1e-3  # m/s
-TOPICS = {"navigation": "auto_nav", "joystick": "teleop_joy"}
-"""Source of the generated package for each partner that has one; the others use any."""
+JOYSTICK, ANY_FIRST = "teleop_joy", "direct"
+TOPICS = {"navigation": "auto_nav", "joystick": JOYSTICK}
+"""Source of the generated package for each partner that has one; each other one plays its script
+to the source of the joystick, and to one with ``first_command: any``."""
 Script = dict[str, Any]
 
 
@@ -134,8 +136,8 @@ def navigation(script: Script, nav2: Nav2, clock: Callable[[float], float]) -> l
 class PartnersRig:
     """The node and the partners in one process.
 
-    ``folder``: generated packages, `gate` with a lock of this name.  ``target``: source of the robot that partners
-    use for which the package has none.
+    ``folder``: generated packages, `gate` with a lock of this name.  ``target``: source of the
+    robot that partners use for which the package has none.
     """
 
     def __init__(self, folder: Path, script: Script, stamped: bool, target: str) -> None:
@@ -208,9 +210,7 @@ class PartnersRig:
             source = self.source(message.source)
             received = self.node.inputs.received[source]
             self._twists[source].publish(self.twist(message))
-            self.spin_until(
-                lambda: self.node.inputs.received[source] > received or not self._heard
-            )
+            self.spin_until(lambda: self.node.inputs.received[source] > received or not self._heard)
 
     def twist(self, message: Message) -> Any:
         twist: Any = self.kind()
@@ -272,7 +272,7 @@ class PartnersRig:
 
         A source with ``first_command: any`` resumes as its user expects.
         """
-        if "decided" not in expected or self.source(self.script["source"]) == "direct":
+        if "decided" not in expected or self.target == ANY_FIRST:
             return expected
         at = expected["at"] + expected["moves"]
         return {"at": at, "refuses": expected["decided"]}
@@ -351,7 +351,7 @@ PAUSE = "auto_nav_pause"
 NAV2: dict[str, Any] = {}
 
 
-def main(folder: str, file: str, distro: str, *targets: str) -> None:
+def main(folder: str, file: str, name: str, distro: str) -> None:
     partner = yaml.safe_load(Path(file).read_text())
     config = Path(folder) / "plain" / "config"
     nav2 = yaml.safe_load((config / "nav2.yaml").read_text())
@@ -359,15 +359,13 @@ def main(folder: str, file: str, distro: str, *targets: str) -> None:
         NAV2.update(nav2[node]["ros__parameters"])
     driver = yaml.safe_load((config / "base_driver.yaml").read_text())
     stamped = driver["/base_driver"]["ros__parameters"]["stamped"]
+    script = {**partner, **partner["scripts"][name]}
     answers: dict[str, list[str]] = {}
-    for name, own in partner["scripts"].items():
-        script = {**partner, **own}
-        if distro not in script.get("distros", [distro]):
-            continue
-        for target in targets if script["source"] not in TOPICS else targets[:1]:
-            rig = PartnersRig(Path(folder), script, stamped, target)
-            answers[f"{name} {target}"] = rig.play()
-            rig.close()
+    sources = [TOPICS[script["source"]]] if script["source"] in TOPICS else [JOYSTICK, ANY_FIRST]
+    for source in sources if distro in script.get("distros", [distro]) else []:
+        rig = PartnersRig(Path(folder), script, stamped, source)
+        answers[source] = rig.play()
+        rig.close()
     print(json.dumps(answers))
 
 

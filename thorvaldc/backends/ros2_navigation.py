@@ -26,7 +26,6 @@ STEPS = 56  # steps of MPPI; 2.8 s ahead
 REVERSE_SHARE = 0.5  # speed in reverse, as a fraction of the robot's limit
 RESOLUTION = 0.05  # m, edge of a cell of the costmaps
 MARGIN = 0.3  # m, distance to obstacles that the planner prefers
-MONITOR_ZEROS = 3600.0  # s; the collision monitor sends zeros as long as Nav2 commands
 LOWEST_OBSTACLE = 0.1  # m above the ground, of points of 3d lidars
 
 
@@ -165,13 +164,12 @@ def nav2(robot: Robot, parts: ros2_parts.Parts) -> dict[str, Parameters]:
 
 
 def _velocity_timeout(driver: DriverSettings) -> float:
-    """Return the time in s after which the smoother begins to stop without new commands.
+    """Return the time in s after which the smoother stops without new commands.
 
-    It repeats the stamp of the last command until then, and stamps anew from the second message
-    on: two periods before the driver refuses the old stamp, ``auto_nav`` does not fall silent.
+    It repeats their last stamp until one message later, before the driver finds it too old.
     """
     timeout = driver.command_timeout
-    return max(0.5 * timeout, round(timeout - 2.0 / CONTROLLER_FREQUENCY, 9))
+    return max(0.5 * timeout, round(timeout - 2.0 * RAMP_PERIOD, 9))
 
 
 def odometry_topic(parts: ros2_parts.Parts) -> str:
@@ -356,8 +354,8 @@ def _collision_monitor(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
         ),
         "transform_tolerance": 0.2,
         "source_timeout": 1.0,
-        # After a silence, the driver would await a zero when the way is free again.
-        "stop_pub_timeout": MONITOR_ZEROS,
+        # As long as Nav2 commands: after a silence, the driver awaits a zero on a free way too.
+        "stop_pub_timeout": 3600.0,
         "polygons": ["FootprintApproach"],
         "FootprintApproach": {
             "type": "polygon",
