@@ -184,6 +184,8 @@ class PartnersRig:
         publishers = self._twists.values() if self._heard else ()
         for publisher in (self._clock, self._lock, *publishers):
             self.spin_until(lambda p=publisher: p.get_subscription_count() > 0)
+        for publisher in self._twists.values():
+            self.spin_until(lambda p=publisher: self.node.count_publishers(p.topic_name) > 0)
         self.spin_until(lambda: self.partner.count_publishers("/diagnostics") > 0)
         self.spin_until(self._enable.service_is_ready)
 
