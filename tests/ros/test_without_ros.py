@@ -286,6 +286,19 @@ def test_refused_twists_are_counted_with_the_newest_reason() -> None:
     assert inputs.summary()[SOURCE]["received"] == 6
 
 
+def test_twists_of_another_type_are_named_while_somebody_publishes_them() -> None:
+    warnings: list[str] = []
+    inputs = TwistInputs(example_robot("2wd0ws_greenhouse"), {}, warnings.append)
+    taken, other = "geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist"
+    for published in ([], [taken], [other, taken, other], [other]):
+        inputs.note_types(SOURCE, published, taken)
+    reason = inputs.summary()[SOURCE]["reason"]
+    assert reason == f"a program sends {other}; the node takes {taken} (parameter `stamped`)"
+    assert warnings == [f"`{SOURCE}`: {reason}"]
+    inputs.note_types(SOURCE, [taken], taken)
+    assert inputs.summary()[SOURCE]["reason"] == ""
+
+
 def test_stamped_twists_are_in_the_frame_of_the_robot_and_of_now() -> None:
     machine = Machine()
     warnings: list[str] = []

@@ -221,6 +221,22 @@ def test_the_first_twist_of_a_source_must_be_zero() -> None:
     assert mux.select(0.2).twist == SLOW
 
 
+def test_a_silent_source_awaits_zero_because_of_its_silence() -> None:
+    """A gap in time, or a clock that did not run, of before its silence is not the reason."""
+    nav = TwistInput("nav", "nav", 10, 0.5, "ramp")
+    mux, driver = front([nav, TwistInput("joy", "joy", 100, 0.5)])
+    driver.permission.step(Rules.void, "a gap in time", 0.0)
+    step = "its first step exceeds 0.075 m/s or 0.075 rad/s; command zero first"
+    assert mux.publish("nav", FAST, 1.0) == f"`nav` was not heard before, and {step}"
+    assert mux.publish("nav", ZERO_TWIST, 1.1) == ""
+    silence = "was silent for more than 0.5 s"
+    assert mux.publish("nav", FAST, 2.0) == f"`nav` {silence}, and {step}"
+    mux.publish("joy", ZERO_TWIST, 2.0)
+    assert mux.publish("joy", FAST, 3.0) == f"`joy` {silence}; command zero first"
+    driver.permission.step(Rules.void, "a gap in time", 3.1)
+    assert mux.publish("joy", FAST, 3.2) == "a gap in time; command zero first"
+
+
 @pytest.mark.parametrize("leaves", ["time-out", "another program", "end"])
 def test_a_source_that_comes_back_must_command_zero(leaves: str) -> None:
     mux = Multiplexer.from_robot(ROBOT)

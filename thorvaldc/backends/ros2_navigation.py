@@ -157,10 +157,19 @@ def nav2(robot: Robot, parts: ros2_parts.Parts) -> dict[str, Parameters]:
             "min_velocity": [-speed for speed in speeds],
             "max_accel": axes(driver.max_linear_acceleration, driver.max_angular_acceleration),
             "max_decel": [-deceleration for deceleration in axes(*driver.decelerations)],
-            "velocity_timeout": driver.command_timeout,
+            "velocity_timeout": _velocity_timeout(driver),
         },
         "collision_monitor": {**stamped, **_collision_monitor(robot, parts)},
     }
+
+
+def _velocity_timeout(driver: DriverSettings) -> float:
+    """Return the time in s after which the smoother stops without new commands.
+
+    It repeats their last stamp until one message later, before the driver finds it too old.
+    """
+    timeout = driver.command_timeout
+    return max(0.5 * timeout, round(timeout - 2.0 * RAMP_PERIOD, 9))
 
 
 def odometry_topic(parts: ros2_parts.Parts) -> str:
@@ -345,6 +354,8 @@ def _collision_monitor(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
         ),
         "transform_tolerance": 0.2,
         "source_timeout": 1.0,
+        # As long as Nav2 commands: after a silence, the driver awaits a zero on a free way too.
+        "stop_pub_timeout": 3600.0,
         "polygons": ["FootprintApproach"],
         "FootprintApproach": {
             "type": "polygon",

@@ -557,6 +557,10 @@ class BaseDriverNode(GuardedLifecycleNode):
         if not self._entities:
             return
         robot, stamp = self.robot, self._stamp(self.robot)
+        taken = f"geometry_msgs/msg/Twist{'Stamped' if self.values['stamped'] else ''}"
+        for source in self.model.twist_sources:
+            publishers = self.get_publishers_info_by_topic(source.topic)
+            self.inputs.note_types(source.name, [p.topic_type for p in publishers], taken)
         message = DiagnosticArray()
         message.header.stamp = stamp
         name = f"{self.get_namespace().rstrip('/')}/{NODE_NAME}".lstrip("/")

@@ -212,9 +212,9 @@ def diagnostic_statuses(name: str, node: Any, robot: DrivenRobot | None) -> list
     """
     hardware = node.model.name
     commands = node.inputs.summary()
+    refuses = any(values["reason"] for values in commands.values())
     if node.clock_watch.problem:
         commands["clock"] = node.clock_watch.problem
-    refuses = any(count for count, _ in node.inputs.refused.values())
     commands_text = "some twists were refused" if refuses else "ok"
     if robot is None:
         level, text = (ERROR, node.problem) if node.problem else (WARN, "inactive")

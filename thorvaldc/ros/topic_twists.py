@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from thorvaldc.model import Robot
@@ -41,6 +41,7 @@ class TwistInputs:
         self._without_stamp: set[str] = set()
         self.received = {source.name: 0 for source in robot.twist_sources}
         self.refused: dict[str, tuple[int, str]] = {}
+        self._other_types: dict[str, str] = {}
 
     def publish_stamped(
         self,
@@ -115,11 +116,23 @@ class TwistInputs:
             )
         return ""
 
+    def note_types(self, source: str, published: Iterable[str], taken: str) -> None:
+        """Notes of which types the twists of a source are published; only one is ``taken``.
+
+        The middleware delivers no message of another type, and tells nobody.
+        """
+        others = ", ".join(sorted({*published} - {taken}))
+        text = others and f"a program sends {others}; the node takes {taken} (parameter `stamped`)"
+        if text and text != self._other_types.get(source):
+            self._warn(f"`{source}`: {text}")
+        self._other_types[source] = text
+
     def summary(self) -> dict[str, Any]:
         """Returns the counts and reasons for the diagnostics."""
         values: dict[str, Any] = {}
         for source, received in self.received.items():
             count, reason = self.refused.get(source, (0, ""))
+            reason = self._other_types.get(source) or reason
             values[source] = {"received": received, "refused": count, "reason": reason}
         return values
 

@@ -259,6 +259,15 @@ class Rules:
         is_step = abs(twist.vx) <= linear and abs(twist.vy) <= linear and abs(twist.wz) <= angular
         return first == settings.ANY_FIRST or (first == settings.RAMP_FIRST and is_step)
 
+    def _silence(self, value: Permission, source: int) -> str:
+        """Returns why a source that is not heard does not begin with its motion."""
+        own, (linear, angular) = self.sources[source], self.first_step
+        heard = value.sources[source].time != _NEVER
+        text = f"silent for more than {own.timeout:g} s" if heard else "not heard before"
+        if own.first_command == settings.RAMP_FIRST:
+            text += f", and its first step exceeds {linear:.3g} m/s or {angular:.3g} rad/s"
+        return f"`{own.name}` was {text}"
+
     def resumes(self, source: int) -> bool:
         """Checks whether a source that was ineffective goes on with its motion, as in twist_mux."""
         return self.sources[source].first_command == settings.ANY_FIRST
@@ -308,8 +317,7 @@ class Rules:
         elif time <= value.armed_at:
             awaits = "a motion was commanded before the base was armed"
         elif not heard:
-            begins = self.begins(source, twist)
-            awaits = "" if begins else awaits or f"`{name}` was not heard before"
+            awaits = "" if self.begins(source, twist) else awaits or self._silence(value, source)
         states = list(value.sources)
         states[source] = state = SourceState(twist, time, owner, awaits)
         value = value._replace(sources=tuple(states), heard_at=max(value.heard_at, time))
@@ -489,7 +497,11 @@ class Rules:
         have no source are void.
         """
         if every:
-            sources = tuple(s._replace(twist=None, awaits=reason) for s in value.sources)
+            # A silent source has another reason to command zero: its silence.
+            sources = tuple(
+                s._replace(twist=None, awaits=reason if self.is_heard(value, i, time) else s.awaits)
+                for i, s in enumerate(value.sources)
+            )
             value = value._replace(sources=sources)
         fault_reason = reason if fault else value.fault
         return value._replace(fault=fault_reason, void=reason, void_at=time), DONE

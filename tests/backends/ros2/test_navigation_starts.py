@@ -6,6 +6,8 @@ acceleration, it begins with the first step, and it is silent after its ramp to 
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
 from tests.backends.ros2.packages import parameters
@@ -79,6 +81,22 @@ def test_the_first_goal_and_the_next_ones() -> None:
     for silence in (0.0, 0.3, 0.6, 5.0):
         navigation.end_goal(silence + 2.0)
         navigation.drive()
+
+
+@pytest.mark.parametrize("timeout", [0.5, 0.2, 2.0])
+def test_the_stamps_of_the_smoother_never_become_too_old(timeout: float) -> None:
+    """It repeats the last stamp until its time-out and one message longer, and then stamps anew;
+    what is older than the command time-out is refused, and silence needs a zero."""
+    driver = dataclasses.replace(ROBOT.driver, command_timeout=timeout)
+    robot = dataclasses.replace(ROBOT, driver=driver)
+    longest = parameters(robot)["/velocity_smoother"]["velocity_timeout"]
+    period = 1.0 / SMOOTHER["smoothing_frequency"]
+    assert 0.0 < longest <= timeout - 2.0 * period + 1e-9
+
+
+def test_the_collision_monitor_is_not_silent_while_nav2_commands() -> None:
+    """Its progress checker gives a goal up after 10 s, and then its recoveries follow."""
+    assert parameters(ROBOT)["/collision_monitor"]["stop_pub_timeout"] >= 600.0
 
 
 @pytest.mark.parametrize("begins", ["before", "during"])

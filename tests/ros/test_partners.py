@@ -1,0 +1,76 @@
+"""How programs of others begin to talk to the node, and what the robot does then.
+
+tests/ros/partners/ is a catalogue of scripts, written from the sources of these programs.  Each
+expectation is that of a person who uses such a program: the robot moves within a time, stands, or
+refuses and names the reason.  ``decided``: a rule of safety wins, and the node names this reason.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.backends.ros2.packages import variant, write
+from tests.ros.environments import DISTROS, each_distro
+from tests.ros.test_node import run_client
+from thorvaldc.backends.ros2 import package_of
+from thorvaldc.model import TwistInput
+
+SCRIPTS = Path(__file__).parent / "partners"
+ANY_FIRST = TwistInput("direct", "direct/cmd_vel", 60, 0.5, "any")
+GATE = TwistInput("gate", "gate/lock", 200, 0.5)
+
+
+def scripts() -> list[Any]:
+    return [
+        pytest.param(file.stem, name, id=f"{file.stem}-{name}")
+        for file in sorted(SCRIPTS.glob("*.yaml"))
+        for name in yaml.safe_load(file.read_text())["scripts"]
+    ]
+
+
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Returns a folder with packages for each distribution: `plain`, and `gate` with a lock more.
+
+    A source of both packages begins with any twist.
+    """
+    folder = tmp_path_factory.mktemp("packages")
+    for distro in DISTROS:
+        robot = variant("4wd4ws_wide", distro=distro)
+        robot = dataclasses.replace(robot, twist_sources=(*robot.twist_sources, ANY_FIRST))
+        locked = dataclasses.replace(robot, twist_locks=(*robot.twist_locks, GATE))
+        write(folder / distro / "plain", package_of(robot))
+        write(folder / distro / "gate", package_of(locked))
+    return folder
+
+
+def plays(distro: str, packages: Path, tmp_path: Path, partner: str, script: str) -> None:
+    """Plays a script to the node, and compares what the robot did with what is expected."""
+    arguments = (packages / distro, SCRIPTS / f"{partner}.yaml", script, distro)
+    answers = json.loads(run_client(distro, "partners_rig", tmp_path, *arguments))
+    assert not any(map(any, answers.values())), answers
+
+
+@each_distro()
+def test_a_goal_of_nav2(distro: str, packages: Path, tmp_path: Path) -> None:
+    plays(distro, packages, tmp_path, "nav2", "first_goal")
+
+
+@each_distro()
+def test_twists_of_another_type_are_named(distro: str, packages: Path, tmp_path: Path) -> None:
+    plays(distro, packages, tmp_path, "teleop_twist_joy", "other_type")
+
+
+@pytest.mark.slow
+@each_distro(both=True)
+@pytest.mark.parametrize(("partner", "script"), scripts())
+def test_a_partner_is_followed_or_refused_with_a_reason(
+    distro: str, packages: Path, tmp_path: Path, partner: str, script: str
+) -> None:
+    plays(distro, packages, tmp_path, partner, script)
