@@ -46,9 +46,9 @@ def key_text(key: int) -> str:
 class Signal:
     """A field of a CAN frame: physical value = raw value * scale + offset.
 
-    - ``start``, ``length``: the number of a bit, and the number of bits. As in DBC files, bit n is
-      bit n % 8 (0 is the least significant) of byte n // 8, and ``start`` is the least significant
-      bit of a little-endian signal, but the most significant bit of a big-endian one.
+    - ``start``: number of the least significant bit, of a big-endian signal the most significant
+      one, as in a DBC file: bit n is bit n % 8 of byte n // 8.
+    - ``length``: number of bits.
     - ``signed``: true if the raw value is an integer in two's complement.
     - ``unit``: unit of the physical value, rad or rad/s for a signal that belongs to a joint.
     - ``joint``: name of the joint that the signal belongs to, or ``None``.
