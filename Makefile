@@ -145,7 +145,7 @@ test-matrix: $(READY)
 COMPILED = build/compiled
 COMPILED_TESTS = tests/test_api.py \
 	tests/docs/test_snippets.py::test_the_snippets_of_a_page_run tests/docs/test_contributing.py \
-	tests/tools/gym tests/odrive tests/jk_bms tests/conformance/test_calculators.py \
+	tests/tools/gym tests/odrive tests/vesc tests/jk_bms tests/conformance/test_calculators.py \
 	tests/runtime/test_driver.py tests/runtime/calculators \
 	$(patsubst %,tests/runtime/can_base/test_%.py,arming can_base cia402_driver plugins roboteq_driver) \
 	tests/simulation/test_control_loop.py tests/simulation/test_scenario_run.py tests/simulation/test_episode.py \

@@ -39,6 +39,7 @@ LOOKS = {
     "9wd9ws": Look(View(elevation=-24.0), Twist(1.0, 0.0, 0.35)),
     "6wd6ws_asymmetric": Look(View(elevation=-22.0), Twist(1.0, 0.3, 0.3)),
     "odrive": Look(View(140.0, -20.0)),
+    "vesc": Look(View(140.0, -20.0)),
     "jk_bms": Look(View(140.0, -20.0)),
     "lss": Look(View(140.0, -20.0)),
     "fleet_of_four": Look(View(150.0, -27.0)),

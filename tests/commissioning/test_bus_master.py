@@ -49,6 +49,7 @@ def test_nothing_is_sent_by_an_interface_with_errors() -> None:
         ("581#4300100000000000", ""),
         ("7E4#4F00000000000000", ""),
         ("00000080#00", ""),
+        ("00000581#4300100000000000", ""),
     ],
 )
 def test_signs_of_another_master(frame: str, sign: str) -> None:

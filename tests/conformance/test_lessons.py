@@ -58,7 +58,7 @@ def test_all_frames_of_a_battery_are_the_batterys() -> None:
     battery = rig.base.batteries()["battery"]
     for value in (battery.voltage, battery.current, battery.charge, *battery.temperatures):
         assert math.isfinite(value)
-    assert {found.cob_id for found in rig.base.nodes.from_devices()} <= {STATE}
+    assert {relayed.frame.id for relayed in rig.base.nodes.from_devices()} <= {STATE}
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_a_hundred_frames_for_a_device_are_not_all_lost() -> None:
     refused = 0
     for number in range(100):
         try:
-            rig.base.nodes.send_to_device(COMMAND, bytes([number]), rig.now)
+            rig.base.nodes.send_to_device(CanFrame(COMMAND, bytes([number])), rig.now)
         except RequestRefused:
             refused += 1
     rig.run(0.5)
@@ -139,7 +139,7 @@ def test_the_relay_passes_allowed_identifiers_only() -> None:
     rig.ready()
     for cob_id in (0x000, 0x080, 0x201, 0x601, 0x77F):
         with pytest.raises(RequestRefused, match="not allowed"):
-            rig.base.nodes.send_to_device(cob_id, b"\xaa\xbb", rig.now)
+            rig.base.nodes.send_to_device(CanFrame(cob_id, b"\xaa\xbb"), rig.now)
     rig.run(0.2)
     assert all(frame.data != b"\xaa\xbb" for _, frame in rig.frames)
 

@@ -132,9 +132,33 @@ def _robots() -> list[tuple[str, Files]]:
         }
         if path.parent.name not in PACKAGES:  # its driver is another package
             robots.append(("robot.yaml", {"robot.yaml": path.read_bytes(), **beside}))
-    return robots
+    return [*robots, ("robot.yaml", {"robot.yaml": (GOOD + FOREIGN).encode()})]
 
 
+FOREIGN = """\
+foreign_devices:
+  sprayer:
+    frames:
+      go: {cob_id: 0x205, extended: true, direction: command, rate: 10 Hz}
+      state: {cob_id: {priority: 6, pgn: 0xFF50, source: 1}, direction: report, rate: 10 Hz}
+"""
+DEVICE = """\
+thorvaldc: 1
+description: A device with 29-bit identifiers and big-endian signals.
+can:
+  protocol: mine
+  frames:
+    status:
+      cob_id: "${0x900 + id}"
+      extended: true
+      kind: broadcast
+      direction: report
+      length: 8
+      period: 100 ms
+      signals:
+        speed: {start: 7, length: 32, big_endian: true, signed: true, unit: rad/s, scale: 0.1}
+        level: {start: 32, length: 12}
+"""
 PART = GOOD + "  part: {type: TYPE, mount: {parent: frame}}\nlibrary: [lib]\n"
 SCENARIO = """\
 thorvaldc: 1
@@ -202,6 +226,15 @@ def _documents() -> list[Kind]:
         }
         robot = PART.replace("TYPE", name).encode()
         modules.append((f"lib/{name}/module.yaml", {"robot.yaml": robot, **beside}))
+    robot = (
+        PART.replace("TYPE", "my/device").replace(", mount: {parent: frame}", ", can: 5").encode()
+    )
+    modules.append(
+        (
+            "lib/my/device/module.yaml",
+            {"robot.yaml": robot, "lib/my/device/module.yaml": DEVICE.encode()},
+        )
+    )
     fleet_files = {**good, "fleet.yaml": FLEET.encode()}
     scenarios = [("scenario.yaml", {**good, "scenario.yaml": SCENARIO.encode()})]
     for path in sorted((EXAMPLES / "scenarios").glob("*.yaml")):

@@ -28,6 +28,7 @@ FINGERPRINTS = {
     9: "cae85acd79a59b5c",
     10: "eeb8ff37e77e8014",
     11: "12f0de925b7a4a74",
+    12: "aba667ae81428e75",
 }
 
 SCHEMA = model_schema()

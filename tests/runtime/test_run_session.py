@@ -11,7 +11,7 @@ import pytest
 from tests.runtime.can_base.test_late_processes import LateBus
 from tests.simulation.bus.robots import CIA402, compiled
 from tests.slow import mostly_slow
-from thorvaldc.can.frame import CanInterface
+from thorvaldc.can.frame import CanFrame, CanInterface
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import RequestRefused
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
@@ -104,7 +104,7 @@ def test_the_status_line_counts_what_was_late_and_what_was_not_relayed(
     session.driven.timing.overruns = 2
     for cob_id in (0x201, 0x601, 0x601):
         with pytest.raises(RequestRefused):
-            session.base.nodes.send_to_device(cob_id, b"", 0.0)
+            session.base.nodes.send_to_device(CanFrame(cob_id, b""), 0.0)
     assert session.status_line().endswith("  2 overruns  3 frames not relayed")
 
 

@@ -168,7 +168,7 @@ def test_the_battery_driver_decodes_all_three_frames() -> None:
     assert state.cycles == 12
     assert state.temperatures == [21, 22, 23, 24, 25, -6]
     assert rig.base.nodes.from_devices() == [] or all(
-        r.cob_id == STATE for r in rig.base.nodes.from_devices()
+        r.frame.id == STATE for r in rig.base.nodes.from_devices()
     )
     assert rig.base.warnings(rig.now) == []
     battery.charge, battery.alarms = 0.05, 0x10
@@ -192,16 +192,18 @@ def test_frames_of_foreign_devices_are_relayed_both_ways() -> None:
     assert isinstance(sprayer, ForeignDevice)
     rig.ready()
     rig.base.nodes.from_devices()
-    rig.base.nodes.send_to_device(COMMAND, b"\x01\x02", rig.now)
+    rig.base.nodes.send_to_device(CanFrame(COMMAND, b"\x01\x02"), rig.now)
     rig.run(0.1)
     assert sprayer.commands == [CanFrame(COMMAND, b"\x01\x02")]
-    assert [frame.cob_id for frame in rig.base.nodes.from_devices()] == [STATE]  # its response
+    assert [relayed.frame.id for relayed in rig.base.nodes.from_devices()] == [
+        STATE
+    ]  # its response
     rig.base.nodes.mute_devices()
     with pytest.raises(RequestRefused, match="muted"):
-        rig.base.nodes.send_to_device(COMMAND, b"", rig.now)
+        rig.base.nodes.send_to_device(CanFrame(COMMAND, b""), rig.now)
     rig.base.nodes.mute_devices(False)
     rig.run(0.2)
-    rig.base.nodes.send_to_device(COMMAND, b"", rig.now)
+    rig.base.nodes.send_to_device(CanFrame(COMMAND, b""), rig.now)
     assert rig.base.nodes.relay_drops() == {"0x240 muted": 1}
 
 
@@ -212,7 +214,7 @@ def test_no_other_frame_is_relayed(cob_id: int) -> None:
     rig.ready()
     at = rig.now
     with pytest.raises(RequestRefused, match="not allowed"):
-        rig.base.nodes.send_to_device(cob_id, b"\xde\xad", rig.now)
+        rig.base.nodes.send_to_device(CanFrame(cob_id, b"\xde\xad"), rig.now)
     rig.run(0.2)
     assert not [f for t, f in rig.frames if t / 1e9 > at and f.data == b"\xde\xad"]
     assert rig.base.nodes.relay_drops() == {f"{cob_id:#05x} not allowed": 1}

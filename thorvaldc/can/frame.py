@@ -17,6 +17,8 @@ import time
 from collections.abc import Callable
 from typing import Final, NamedTuple, Protocol
 
+from thorvaldc.model.bus import EXTENDED
+
 SEND_LIMIT: Final = 32
 """Default size of a send queue, in frames."""
 RECEIVE_LIMIT: Final = 1024
@@ -39,6 +41,11 @@ class CanFrame(NamedTuple):
     def length(self) -> int:
         """Data length code (DLC) of the CAN frame, 0 to 8."""
         return self.requested if self.remote else len(self.data)
+
+    @property
+    def key(self) -> int:
+        """The identifier, with the bit ``EXTENDED`` if it has 29 bits."""
+        return self.id | EXTENDED if self.extended else self.id
 
     @property
     def arbitration(self) -> int:

@@ -85,11 +85,11 @@ class PythonCanInterface:
 
         self.bus = bus
         self._can = can
-        self._expected_echoes: Counter[tuple[int, bytes]] | None = Counter() if datagrams else None
+        self._expected_echoes: Counter[CanFrame] | None = Counter() if datagrams else None
         self._datagrams = datagrams
         self.undecodable = 0
         """Number of dropped datagrams."""
-        self._sent: deque[tuple[float, tuple[int, bytes]]] = deque()
+        self._sent: deque[tuple[float, CanFrame]] = deque()
         self._lock = threading.Lock()
         self._shared = shared
         self._write_time = write_time
@@ -220,31 +220,29 @@ class PythonCanInterface:
 
     def _expect_echo(self, frame: CanFrame) -> None:
         now = elapsed()
-        content = (frame.id, frame.data)
         with self._lock:
             self._drop_old_echoes(now)
             if self._expected_echoes is not None:
-                self._expected_echoes[content] += 1
-                self._sent.append((now, content))
+                self._expected_echoes[frame] += 1
+                self._sent.append((now, frame))
 
     def _is_echo(self, frame: CanFrame) -> bool:
-        content = (frame.id, frame.data)
         with self._lock:
             self._drop_old_echoes(elapsed())
             expected = self._expected_echoes
-            if expected is None or not expected[content]:
+            if expected is None or not expected[frame]:
                 return False
-            expected[content] -= 1
+            expected[frame] -= 1
             return True
 
     def _drop_old_echoes(self, now: float) -> None:
         expected = self._expected_echoes
         while expected is not None and self._sent and now - self._sent[0][0] > MAXIMUM_AGE:
-            content = self._sent.popleft()[1]
-            if expected[content] > 0:
-                expected[content] -= 1
-            if not expected[content]:
-                del expected[content]
+            frame = self._sent.popleft()[1]
+            if expected[frame] > 0:
+                expected[frame] -= 1
+            if not expected[frame]:
+                del expected[frame]
 
     def _raise_if_lost(self, error: can.CanError) -> None:
         causes: list[BaseException | None] = [error, error.__cause__, error.__context__]

@@ -184,7 +184,7 @@ def _node_configuration(bus: Bus, node: Node) -> NodeConfiguration:
         serial=_number(node.serial),
         device_type=node.device_type,
         heartbeat=heartbeat,
-        seen_by=tuple((f.cob_id, f.period) for f in sent if f.period is not None),
+        seen_by=tuple((f.key, f.period) for f in sent if f.period is not None),
         statuswords=tuple(o.index for o in node.objects if o.index in STATUSWORDS),
         values=tuple(
             ParameterValue(o.name, o.index, o.subindex, o.type, o.value)

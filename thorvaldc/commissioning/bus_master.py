@@ -67,7 +67,7 @@ class BusMaster:
         self.masters: dict[str, int] = {}
         """Number of frames from another master, by description of the frame."""
         self.received: dict[int, list[float]] = {}
-        """Times of reception (s) of all frames, by identifier."""
+        """Times of reception (s) of all frames, by key (``CanFrame.key``)."""
         self.states: dict[int, int] = {}
         """NMT state in the newest heartbeat, by node id."""
         self.boots: list[int] = []
@@ -81,8 +81,8 @@ class BusMaster:
         self._from_nodes: dict[int, str] = {}
         for frame in bus.frames:
             names = self._from_master if frame.producer == MASTER else self._from_nodes
-            names[frame.cob_id] = frame.name
-        self._other_frames = {frame.cob_id for frame in bus.frames if frame.kind != "sdo"}
+            names[frame.key] = frame.name
+        self._other_frames = {frame.key for frame in bus.frames if frame.kind != "sdo"}
 
     @property
     def now(self) -> float:
@@ -227,20 +227,19 @@ class BusMaster:
     def _evaluate(self, frame: CanFrame, time: float) -> None:
         self.frames += 1
         self.bits += worst_case_bits(frame.length, frame.extended)
-        if frame.extended:
-            return
-        self.received.setdefault(frame.id, []).append(time)
+        key = frame.key
+        self.received.setdefault(key, []).append(time)
         if (
-            canopen.HEARTBEAT < frame.id <= canopen.HEARTBEAT + canopen.HIGHEST_NODE_ID
+            canopen.HEARTBEAT < key <= canopen.HEARTBEAT + canopen.HIGHEST_NODE_ID
             and len(frame.data) == 1
         ):
-            node = frame.id - canopen.HEARTBEAT
+            node = key - canopen.HEARTBEAT
             self.states[node] = canopen.heartbeat_state(frame.data)
             if frame.data[0] == canopen.NmtState.INITIALISING:
                 self.boots.append(node)
-        elif canopen.SDO_RESPONSE < frame.id <= canopen.SDO_RESPONSE + canopen.HIGHEST_NODE_ID:
-            node = frame.id - canopen.SDO_RESPONSE
-            if node not in self._open_requests and frame.id not in self._other_frames:
+        elif canopen.SDO_RESPONSE < key <= canopen.SDO_RESPONSE + canopen.HIGHEST_NODE_ID:
+            node = key - canopen.SDO_RESPONSE
+            if node not in self._open_requests and key not in self._other_frames:
                 self.surplus[node] = self.surplus.get(node, 0) + 1
             self._open_requests.discard(node)
         sign = self._sign_of_master(frame)
@@ -252,7 +251,7 @@ class BusMaster:
     def _sign_of_master(self, frame: CanFrame) -> str:
         """Returns a description if the CAN frame can only come from a CANopen master, else an empty
         text."""
-        identifier = frame.id
+        identifier = frame.key
         if identifier in self._from_nodes:
             return ""
         if identifier in self._from_master:
@@ -475,7 +474,7 @@ class SdoClient:
         response_id, multiplexer = canopen.SDO_RESPONSE + node, request[1:4]
 
         def fits(frame: CanFrame) -> bool:
-            if frame.id != response_id or len(frame.data) != 8:
+            if frame.key != response_id or len(frame.data) != 8:
                 return False
             return segment or frame.data[1:4] == multiplexer
 

@@ -204,7 +204,7 @@ def motor_key(robot: Robot, motor: Actuator) -> str:
     """
     nodes = [(bus.name, n) for bus in robot.buses for n in bus.nodes if n.name == motor.node]
     signals = [
-        (frame.cob_id, dataclasses.replace(signal, description=""))
+        (frame.key, dataclasses.replace(signal, description=""))
         for bus in robot.buses
         for frame in bus.frames
         for signal in frame.signals

@@ -128,7 +128,7 @@ def identify(
             for device in findings.by_name.values()
             if device.identity in names
         }
-        known = {frame.cob_id for frame in candidate.bus.frames}
+        known = {frame.key for frame in candidate.bus.frames}
         evaluation = scan_result.ScanEvaluation(
             configuration, replace(findings, by_name=by_name), received, known
         )
@@ -141,7 +141,7 @@ def identify(
 
 def _all_frames(candidates: Sequence[Candidate]) -> Bus:
     """Returns a bus with the frames of all files: no request has the identifier of one of them."""
-    frames = {frame.cob_id: frame for c in candidates for frame in c.bus.frames}
+    frames = {frame.key: frame for c in candidates for frame in c.bus.frames}
     return replace(candidates[0].bus, nodes=(), frames=tuple(frames.values()))
 
 

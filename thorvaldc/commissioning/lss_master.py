@@ -220,7 +220,7 @@ class LssMaster:
         """
 
         def fits(frame: CanFrame) -> bool:
-            return frame.id == LSS_RESPONSE and len(frame.data) == 8 and frame.data[0] == response
+            return frame.key == LSS_RESPONSE and len(frame.data) == 8 and frame.data[0] == response
 
         limit = timeout or self.master.timing.lss
         return self.master.request(LSS_REQUEST, request.ljust(8, b"\0"), fits, limit, settle)

@@ -214,7 +214,7 @@ class Findings:
 class ScanEvaluation:
     """Compares the findings of a scan with the required configuration.
 
-    ``received``: reception times (s) of the CAN frames by identifier.  ``known``: CAN identifiers
+    ``received``: reception times (s) of the CAN frames by key.  ``known``: CAN identifiers
     in the CAN map of the robot.
     """
 

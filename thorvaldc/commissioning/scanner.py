@@ -183,7 +183,7 @@ class Scanner:
 
     def _discover(self) -> None:
         """Sends one SDO request to every possible node id, and counts the responses."""
-        used = {frame.cob_id for frame in self.master.bus.frames if frame.kind != "sdo"}
+        used = {frame.key for frame in self.master.bus.frames if frame.kind != "sdo"}
         without_sdo = {n.id for n in self.configuration.nodes if n.canopen and not n.sdo}
         without_sdo.add(self.master.bus.master_id)
         ids = [
@@ -314,7 +314,7 @@ class Scanner:
     # -- result -----------------------------------------------------------------------------
 
     def _evaluation(self) -> scan_result.ScanEvaluation:
-        known = {frame.cob_id for frame in self.master.bus.frames}
+        known = {frame.key for frame in self.master.bus.frames}
         return scan_result.ScanEvaluation(
             self.configuration, self._findings, self.master.received, known
         )

@@ -18,6 +18,7 @@ from thorvaldc.commissioning.scan_result import OK, ScanResult
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.model import Bus
+from thorvaldc.model.bus import key_text
 from thorvaldc.model.sums import float_sum
 
 LONGEST_LISTENING = 3.0
@@ -144,11 +145,11 @@ def _check_frames(
     load = master.bits / (bus.bitrate * seconds)
     checks: list[Check] = []
     not_seen: list[str] = []
-    names = {frame.cob_id: frame.name for frame in bus.frames}
+    names = {frame.key: frame.name for frame in bus.frames}
     for node in configuration.nodes:
         for identifier, period in node.seen_by:
             times = master.received.get(identifier, [])
-            name = names.get(identifier, f"{identifier:#05x}")
+            name = names.get(identifier, key_text(identifier))
             heartbeat = identifier == HEARTBEAT + node.id and node.heartbeat is not None
             if not times and not heartbeat:
                 not_seen.append(name)
@@ -172,7 +173,7 @@ def _check_frames(
             )
     unknown = sorted(i for i in master.received if i not in names)
     if unknown:
-        identifiers = ", ".join(f"{i:#05x}" for i in unknown)
+        identifiers = ", ".join(map(key_text, unknown))
         checks.append(Check("", "frames that are not in the file", "none", identifiers, False))
     checks.append(
         Check(

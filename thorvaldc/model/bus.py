@@ -28,13 +28,27 @@ CANOPEN = "canopen"
 """Id space of the CANopen node ids.  A node in another id space is no CANopen device."""
 FLOAT32_MAX = (2.0 - 2.0**-23) * 2.0**127
 """Largest finite number of IEEE 754 with 32 bits."""
+EXTENDED = 1 << 31
+"""Bit of the key of an extended frame, the same as in DBC files and in SocketCAN.
+
+Frames are known by their keys. The key of a standard frame is its identifier. The key of an
+extended frame is its identifier plus this bit, so that the frames 0x123 with 11 and with 29 bits
+differ.
+"""
+
+
+def key_text(key: int) -> str:
+    """Return the identifier of a frame as text: 3 digits if it is standard, 8 if it is extended."""
+    return f"0x{key ^ EXTENDED:08x}" if key & EXTENDED else f"{key:#05x}"
 
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """A little-endian field of a CAN frame: physical value = raw value * scale + offset.
+    """A field of a CAN frame: physical value = raw value * scale + offset.
 
-    - ``start``, ``length``: the first bit and the number of bits of the signal.
+    - ``start``: number of the least significant bit, of a big-endian signal the most significant
+      one, as in a DBC file: bit n is bit n % 8 of byte n // 8.
+    - ``length``: number of bits.
     - ``signed``: true if the raw value is an integer in two's complement.
     - ``unit``: unit of the physical value, rad or rad/s for a signal that belongs to a joint.
     - ``joint``: name of the joint that the signal belongs to, or ``None``.
@@ -44,6 +58,7 @@ class Signal:
     - ``floating_point``: true if the raw value is a number after IEEE 754 with 32 or 64 bits.
     - ``minimum``, ``maximum``: limits of the physical value, or ``None``.
     - ``description``: purpose of the signal.
+    - ``big_endian``: true if the byte with the most significant bits comes first (Motorola).
     """
 
     name: str
@@ -61,6 +76,23 @@ class Signal:
     choices: tuple[tuple[int, str], ...] = ()
     description: str = ""
     floating_point: bool = False
+    big_endian: bool = False
+
+    @property
+    def first_bit(self) -> int:
+        """Place of the first bit of the signal in the frame.
+
+        Places count through all bytes from the end of a byte at which the signal begins: from the
+        least significant bit of a little-endian signal, else from the most significant bit. The
+        signal has the places ``first_bit`` to ``first_bit + length - 1``.
+        """
+        return self.start ^ 7 if self.big_endian else self.start
+
+    @property
+    def bits(self) -> list[int]:
+        """The numbers of the bits of the signal, which count as ``start`` does."""
+        places = range(self.first_bit, self.first_bit + self.length)
+        return [place ^ 7 for place in places] if self.big_endian else list(places)
 
     @property
     def raw_range(self) -> tuple[int | float, int | float]:
@@ -75,7 +107,7 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class FrameDefinition:
-    """The definition of a CAN frame with an 11-bit identifier: signals, nodes and timing.
+    """The definition of a CAN frame: signals, nodes and timing.
 
     - ``name``, ``description``: name of the frame, unique on its bus, and its purpose.
     - ``cob_id``, ``length``: the identifier, and the number of bytes.
@@ -91,6 +123,7 @@ class FrameDefinition:
     - ``pdo``: number of the CANopen PDO, 1 to 512.
     - ``mapping``: objects in the PDO, each as (index, subindex, type).
     - ``synchronous``: true if the PDO is sent, or takes effect, when the SYNC frame is received.
+    - ``extended``: true if the identifier has 29 bits, false if it has 11.
 
     The module ``bus_timing`` states how often a CAN frame without a period and without a minimum
     interval is assumed to be sent.
@@ -112,6 +145,18 @@ class FrameDefinition:
     pdo: int | None = None
     mapping: tuple[tuple[int, int, str], ...] = ()
     synchronous: bool = False
+    extended: bool = False
+
+    @property
+    def key(self) -> int:
+        """The identifier, with the bit ``EXTENDED`` if it has 29 bits."""
+        return self.cob_id | EXTENDED if self.extended else self.cob_id
+
+    @property
+    def arbitration(self) -> int:
+        """The lowest of these numbers wins the arbitration; a standard frame wins over an extended
+        one whose identifier begins with the same 11 bits."""
+        return self.cob_id << 1 | 1 if self.extended else self.cob_id << 19
 
 
 @dataclass(frozen=True, slots=True)

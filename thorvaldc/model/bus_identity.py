@@ -19,11 +19,11 @@ SERIAL_NUMBER = (0x1018, 4)
 class Heard(NamedTuple):
     """What the devices at a CAN interface have told about themselves.
 
-    - ``cob_ids``: identifiers of received frames.
+    - ``keys``: keys of received frames, see ``EXTENDED`` in the module ``bus``.
     - ``serials``: serial numbers that were read.
     """
 
-    cob_ids: Collection[int]
+    keys: Collection[int]
     serials: Collection[int]
 
 
@@ -45,11 +45,11 @@ def wrong_buses(buses: Sequence[Bus], heard: Mapping[str, Heard]) -> str:
 
 def _owner(buses: Sequence[Bus], name: str, devices: Heard) -> str:
     """Returns the only other bus to which all devices on the bus ``name`` belong, or ""."""
-    ids = {b.name: {f.cob_id for f in b.frames if f.producer != MASTER} for b in buses}
+    ids = {b.name: {f.key for f in b.frames if f.producer != MASTER} for b in buses}
     serials = {b.name: {node.serial_number for node in b.nodes} for b in buses}
     possible = [
         owners
-        for known, numbers in ((ids, devices.cob_ids), (serials, devices.serials))
+        for known, numbers in ((ids, devices.keys), (serials, devices.serials))
         for number in numbers
         if (owners := {bus for bus in known if number in known[bus]})
     ]

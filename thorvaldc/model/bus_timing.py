@@ -64,8 +64,7 @@ _REQUEST, _ANSWER, _EMERGENCY = "request", "answer", "emergency"
 class Stream(NamedTuple):
     """All CAN frames with one identifier.
 
-    - ``identifier``: the CAN identifier. The CAN frame with the lower identifier wins the
-      arbitration.
+    - ``identifier``: number of the CAN frame in the arbitration, which the lower number wins.
     - ``bits``: length of a frame in bits, including stuff bits.
     - ``period``: shortest time in s between two frames.
     - ``jitter``: largest delay in s until a frame is due.
@@ -240,7 +239,7 @@ def bus_load(bus: Bus) -> float:
     """
     bits, groups = 0.0, dict[str, int]()
     for frame in bus.frames:
-        length = worst_case_bits(frame.length)
+        length = worst_case_bits(frame.length, frame.extended)
         group = _group(frame)
         if group == _EMERGENCY:
             continue
@@ -289,8 +288,8 @@ def frame_streams(bus: Bus, jitter: Mapping[str, float], bits: Mapping[str, int]
     """
     return [
         Stream(
-            frame.cob_id,
-            bits.get(frame.name) or worst_case_bits(frame.length),
+            frame.arbitration,
+            bits.get(frame.name) or worst_case_bits(frame.length, frame.extended),
             frame.period or frame.minimum_interval or bus.sync_period,
             jitter.get(frame.name, 0.0),
             _group(frame),

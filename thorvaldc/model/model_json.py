@@ -44,7 +44,7 @@ from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.settings import DISTROS, DRIVER, EKF
 
 FORMAT = "thorvaldc-model"
-VERSION = 11
+VERSION = 12
 """Version of the JSON format, increased with every change of the model's fields.
 
 The page ``docs/model.md`` lists all versions of the JSON format.
@@ -155,7 +155,7 @@ _RANGES: dict[tuple[type, str], tuple[int, int]] = {
     (Actuator, "encoder_ppr"): (1, _UINT32),
     (Bus, "bitrate"): (1, 1_000_000),
     (Bus, "master_id"): (1, 127),
-    (FrameDefinition, "cob_id"): (0, 0x7FF),
+    (FrameDefinition, "cob_id"): (0, 0x1FFFFFFF),
     (FrameDefinition, "length"): (0, 8),
     (FrameDefinition, "pdo"): (1, 512),
     (Node, "id"): (0, 0x7FF),
@@ -212,6 +212,8 @@ def _object_decoder(cls: type) -> _Decoder:
         _require(value, dict, path)
         if value.keys() != decoders.keys():
             _report_fields(value, list(decoders), path)
+        if cls is FrameDefinition and value["extended"] is False:
+            _range_decoder(decoders["cob_id"], 0, 0x7FF)(value["cob_id"], f"{path}.cob_id")
         return cls(
             **{name: decode(value[name], f"{path}.{name}") for name, decode in decoders.items()}
         )

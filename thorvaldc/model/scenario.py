@@ -202,7 +202,7 @@ FAULT_KINDS = {
     "heartbeat_stop": FaultKind("yes"),
     "duplicate_id": FaultKind("yes", ("id",), lasts=False),
     "clone": FaultKind("yes"),
-    "babble": FaultKind("yes", ("cob_id", "period")),
+    "babble": FaultKind("yes", ("cob_id", "period"), ("format",)),
     "emcy": FaultKind("yes", ("code",), ("register",), lasts=False),
     "forged_frames": FaultKind("no", ("cob_id",), ("data", "period", "format")),
     "battery_charge": FaultKind("yes", ("charge",)),
@@ -219,13 +219,13 @@ FAULT_KINDS = {
     "frozen_reports": FaultKind("yes"),
     "wrong_bitrate": FaultKind("yes", ("bitrate",)),
     "bus_off": FaultKind("yes", lasts=False),
-    "lost_frames": FaultKind("maybe", ("share",), ("cob_id",)),
-    "late_frames": FaultKind("maybe", ("share", "latency"), ("cob_id",)),
-    "repeated_frames": FaultKind("maybe", ("share",), ("cob_id",)),
+    "lost_frames": FaultKind("maybe", ("share",), ("cob_id", "format")),
+    "late_frames": FaultKind("maybe", ("share", "latency"), ("cob_id", "format")),
+    "repeated_frames": FaultKind("maybe", ("share",), ("cob_id", "format")),
     "noise": FaultKind("no", ("share",)),
 }
 FRAME_FORMATS = ("standard", "extended", "remote")
-"""Formats of forged frames: data frames with 11 or 29 bits of identifier, remote frames."""
+"""Formats of frames: data frames with 11 or 29 bits of identifier, remote frames with 11 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,7 +256,7 @@ class BusFault:
       motor turns, whatever is commanded.
     - ``index``, ``subindex``, ``value``: object of the device that another interface of the device
       overwrites, and its new value.
-    - ``format``: format of the forged frames, one of ``FRAME_FORMATS``.
+    - ``format``: format of the frames with ``cob_id``, one of ``FRAME_FORMATS``.
     """
 
     kind: str

@@ -509,7 +509,9 @@ class BaseDriverNode(GuardedLifecycleNode):
             self._publish_device_data(robot, stamp)
         if self._from_devices is not None:
             for frame in robot.base.frames_from_devices():
-                relayed = self._frame_type(id=frame.id, dlc=len(frame.data))
+                relayed = self._frame_type(
+                    id=frame.id, is_extended=frame.extended, dlc=len(frame.data)
+                )
                 relayed.header.stamp = stamp
                 relayed.data[: len(frame.data)] = list(frame.data)
                 self._from_devices.publish(relayed)

@@ -30,7 +30,7 @@ class JkBmsDriver(BatteryDriver):
             ("cell_temperatures", self._handle_temperatures),
             ("alarms", self._handle_alarms),
         ):
-            self.handlers[self.codecs[name].cob_id] = handler
+            self.handlers[self.codecs[name].key] = handler
 
     def _handle_status(self, data: bytes, time: float) -> None:
         values = self.codecs["status"].decode_named(data)

@@ -89,7 +89,7 @@ class OdriveController(MotorController):
             ("tx_sdo", self._handle_value),
             ("get_encoder_estimates", self._handle_motion),
         ):
-            self.handlers[self.codecs[name].cob_id] = handler
+            self.handlers[self.codecs[name].key] = handler
 
     def _forget_identity(self) -> None:
         self._version: str | None = None
@@ -204,11 +204,11 @@ class OdriveController(MotorController):
         self._unanswered += 1
         if self._version is None:
             version = self.codecs["get_version"]
-            return CanFrame(version.cob_id, remote=True, requested=version.length)
+            return CanFrame(version.frame.cob_id, remote=True, requested=version.length)
         missing = [endpoint for endpoint in self._endpoints if endpoint not in self._values]
         self._next_query = (self._next_query + 1) % len(self._endpoints)
         endpoint = missing[0] if missing else self._endpoints[self._next_query]
-        return CanFrame(self.codecs["rx_sdo"].cob_id, struct.pack("<BHB", READ, endpoint, 0))
+        return self.codecs["rx_sdo"].can_frame(struct.pack("<BHB", READ, endpoint, 0))
 
     def cyclic_frames(self, intent: Intent, now: float) -> list[CanFrame]:
         self._now = now
@@ -220,7 +220,7 @@ class OdriveController(MotorController):
             self._reset_allowed = False
         velocity = self.axes[0].target if follows and self.axes else 0.0
         codec = self.codecs["set_input_vel"]
-        return [CanFrame(codec.cob_id, codec.encode_named({"input_vel": velocity}))]
+        return [codec.can_frame(codec.encode_named({"input_vel": velocity}))]
 
     def occasional_frame(self, intent: Intent, now: float) -> CanFrame | None:
         """Returns Clear_Errors, Set_Controller_Mode or Set_Axis_State, or ``None``."""
@@ -253,4 +253,4 @@ class OdriveController(MotorController):
 
     def _command(self, name: str, **values: float) -> CanFrame:
         codec = self.codecs[name]
-        return CanFrame(codec.cob_id, codec.encode_named(values))
+        return codec.can_frame(codec.encode_named(values))

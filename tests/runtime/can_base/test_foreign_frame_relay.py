@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from tests.simulation.bus.robots import drives
 from thorvaldc.can.frame import CanFrame
+from thorvaldc.model.bus import EXTENDED
 from thorvaldc.runtime.can_base.foreign_frame_relay import QUEUE_LIMIT, Relay
 
 COMMAND, STATE = 0x240, 0x1C0
@@ -40,7 +41,7 @@ def test_a_full_queue_of_device_frames_drops_the_oldest() -> None:
     for i in range(QUEUE_LIMIT + 10):
         relay.take(STATE, bytes([i]), 0.1 * i)
     kept = relay.received()
-    assert [r.data[0] for r in kept] == list(range(10, QUEUE_LIMIT + 10))
+    assert [r.frame.data[0] for r in kept] == list(range(10, QUEUE_LIMIT + 10))
     assert relay.dropped[STATE, "queue full"] == 10
     assert relay.passed[STATE] == QUEUE_LIMIT + 10
     relay.take(0x1C1, b"", 0.0)
@@ -66,3 +67,19 @@ def test_the_example_of_the_rate_rule() -> None:
     arrivals = {0.0: "", 0.05: "", 0.075: "too often", 0.155: "", 0.225: "too often", 0.26: ""}
     for time, reason in arrivals.items():
         assert relay.offer(CanFrame(COMMAND, b""), time) == reason, time
+
+
+def test_only_the_stated_kind_of_identifier_passes() -> None:
+    """A frame with 29 bits is another than the frame with the same number and 11 bits."""
+    relay = make_relay()
+    assert relay.offer(CanFrame(COMMAND, b"", extended=True), 0.0) == "not allowed"
+    bus = drives().buses[0]
+    frames = [replace(f, extended=f.cob_id in (COMMAND, STATE)) for f in bus.frames]
+    relay = Relay(replace(bus, frames=tuple(frames)))
+    assert relay.offer(CanFrame(COMMAND, b""), 0.0) == "not allowed"
+    command = CanFrame(COMMAND, b"\1", extended=True)
+    assert relay.offer(command, 0.0) == ""
+    assert relay.next_outgoing() == command
+    relay.take(STATE, b"\1", 0.0)
+    relay.take(STATE | EXTENDED, b"\2", 0.0)
+    assert [r.frame for r in relay.received()] == [CanFrame(STATE, b"\2", extended=True)]

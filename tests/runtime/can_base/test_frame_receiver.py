@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from thorvaldc.can.frame import CanFrame, ReceivedFrame
+from thorvaldc.model.bus import EXTENDED
 from thorvaldc.runtime.can_base.frame_receiver import FrameReceiver
 
 
@@ -59,6 +60,22 @@ def test_extended_remote_and_own_frames_are_ignored() -> None:
     assert frame_receiver.drain() == []
     assert frame_receiver.latest == {}
     assert frame_receiver.ignored == 2
+
+
+def test_known_extended_frames_are_other_frames() -> None:
+    fed = FedInterface()
+    key = 0x181 | EXTENDED
+    frame_receiver = FrameReceiver(fed, {key}, {key, 0x281 | EXTENDED})  # type: ignore[arg-type]
+    fed.feed(CanFrame(0x181, b"\1"), CanFrame(0x181, b"\2", extended=True))
+    fed.feed(CanFrame(0x281, b"\3", extended=True), CanFrame(0x381, b"\4", extended=True))
+    assert [(event.key, event.data) for event in frame_receiver.drain()] == [(key, b"\2")]
+    assert {key: newest.data for key, newest in frame_receiver.latest.items()} == {
+        0x181: b"\1",
+        key: b"\2",
+        0x281 | EXTENDED: b"\3",
+    }
+    assert (frame_receiver.received, frame_receiver.ignored) == (3, 1)
+    assert frame_receiver.ignored_id is None
 
 
 @pytest.mark.parametrize("threaded", [False, True])

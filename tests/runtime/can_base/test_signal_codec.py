@@ -15,6 +15,7 @@ from tests.robots import SPAN
 from tests.runtime.can_base.test_can_base import four_wheels
 from tests.simulation.bus.robots import drives, uneven_robot
 from thorvaldc.backends.can.dbc import dbc_text
+from thorvaldc.can.frame import CanFrame
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Bus, FrameDefinition, Robot, Signal
 from thorvaldc.model.bus import FLOAT32_MAX
@@ -168,3 +169,35 @@ def test_a_signal_that_is_not_selected_may_be_anything() -> None:
     assert codec.decode_named(data)["b"] == 0x7FC00000
     with pytest.raises(ValueError, match="a is nan"):
         codec.decode(b"\1" + data[1:])
+
+
+def test_big_endian_signals_start_at_their_most_significant_bit() -> None:
+    """The numbers of the bits are those of a DBC file; both byte orders may be in one frame."""
+    signals = (
+        Signal("speed", 7, 32, True, big_endian=True),
+        Signal("current", 39, 16, True, 0.1, big_endian=True),
+        Signal("duty", 48, 16, True, 0.001),
+    )
+    values = [-51000.0, 12.5, -0.25]
+    data = (-51000).to_bytes(4, "big", signed=True) + b"\x00\x7d" + b"\x06\xff"
+    assert FrameCodec(frame(*signals)).encode(values) == data
+    assert FrameCodec(frame(*signals)).decode(data) == pytest.approx(values)
+    big = FrameCodec(frame(*signals[:2], length=6))  # one call of `struct`
+    assert big.encode(values[:2]) == data[:6]
+    assert big.decode(data) == pytest.approx(values[:2])
+
+
+@pytest.mark.parametrize(
+    ("start", "length", "value", "data"),
+    [(0, 1, 1, "0100"), (3, 4, 0xA, "0a00"), (2, 6, 0b101_011, "0560"), (5, 12, 0xABC, "2af0")],
+)
+def test_big_endian_signals_across_bytes(start: int, length: int, value: int, data: str) -> None:
+    codec = FrameCodec(frame(Signal("a", start, length, big_endian=True), length=2))
+    assert codec.encode([value]).hex() == data
+    assert codec.decode(bytes.fromhex(data)) == [value]
+
+
+def test_an_extended_frame_is_sent_as_such() -> None:
+    codec = FrameCodec(replace(frame(Signal("a", 0, 8)), extended=True))
+    assert codec.can_frame(b"\1") == CanFrame(0x181, b"\1", extended=True)
+    assert codec.key == CanFrame(0x181, extended=True).key != CanFrame(0x181).key

@@ -17,7 +17,7 @@ from thorvaldc.model import Bus, FrameDefinition, Robot, Signal
 C_GUARD = "ROBOT_CAN_H"
 C_LEGEND = """\
  * Names: ROBOT_CAN_<bus>_<frame>_..., and ROBOT_CAN_<bus>_<frame>_<signal>_... for its signals.
- * Little endian; value = raw * SCALE + OFFSET, in the unit that is said beside. START and BITS
+ * {order}; value = raw * SCALE + OFFSET, in the unit that is said beside. START and BITS
  * are in bits, periods in microseconds (0: on demand); IS_... are raw values with a name.
 """
 SCRIPT_HEAD = """\
@@ -88,9 +88,10 @@ class Can(Backend):
 def _c_header(robot: Robot) -> str:
     """Return the C header of a robot's CAN buses as text. The C header contains only macros and
     works in C and C++."""
-    lines = [
-        f"/* The buses of {robot.name}. Made by thorvaldc; changes are lost.\n *\n{C_LEGEND} */"
-    ]
+    signals = [s for bus in robot.buses for frame in bus.frames for s in frame.signals]
+    big = any(signal.big_endian for signal in signals)
+    legend = C_LEGEND.format(order=f"Little endian{' without ..._BIG_ENDIAN' if big else ''}")
+    lines = [f"/* The buses of {robot.name}. Made by thorvaldc; changes are lost.\n *\n{legend} */"]
     lines += [f"#ifndef {C_GUARD}", f"#define {C_GUARD}"]
     taken: dict[str, int] = {}
     for bus in robot.buses:
@@ -134,6 +135,8 @@ def _frame_macros(frame: FrameDefinition) -> Iterator[tuple[str, str, str]]:
     to = ", ".join(frame.consumers)
     yield "", "", f"{frame.name}: {frame.producer} to {to if len(to) < 60 else 'all'}"
     yield f"{frame.name}_cob_id", f"0x{frame.cob_id:03X}u", ""
+    if frame.extended:
+        yield f"{frame.name}_extended", "1u", "29 bits; 11 without this macro"
     yield f"{frame.name}_length", f"{frame.length}u", "bytes"
     yield f"{frame.name}_period", f"{round((frame.period or 0.0) * 1e6)}ul", "us"
     for signal in frame.signals:
@@ -145,6 +148,8 @@ def _signal_macros(frame: str, signal: Signal) -> Iterator[tuple[str, str, str]]
     kind = "floating point" if signal.floating_point else "signed" if signal.signed else "unsigned"
     about = f", joint {signal.joint}" if signal.joint is not None else ""
     yield f"{name}_start", f"{signal.start}u", ""
+    if signal.big_endian:
+        yield f"{name}_big_endian", "1u", "START is the most significant bit, numbered as in a DBC"
     yield f"{name}_bits", f"{signal.length}u", kind
     yield f"{name}_scale", _number(signal.scale), f"{_plain(signal.unit) or 'no unit'}{about}"
     if signal.offset:

@@ -13,13 +13,14 @@ from typing import Any
 
 from thorvaldc.diagnostics.text_layout import markdown_table
 from thorvaldc.model import Actuator, Bus, Channel, FrameDefinition, Joint, Node, Robot, Signal
+from thorvaldc.model.bus import key_text
 from thorvaldc.model.bus_timing import worst_case_bits
 from thorvaldc.model.sums import float_sum
 
 FORMAT = "thorvaldc-canmap"
-VERSION = 3
+VERSION = 4
 BUDGET_FORMAT = "thorvaldc-can-budget"
-BUDGET_VERSION = 1
+BUDGET_VERSION = 2
 BUDGET_HEAD = (
     *("id", "frame", "from", "bytes", "bits"),
     *("period ms", "load %", "response ms", "deadline ms"),
@@ -74,6 +75,11 @@ def _fields(element: object, names: str) -> dict[str, Any]:
     return {name: getattr(element, name) for name in names.split()}
 
 
+def _if_true(element: object, name: str) -> dict[str, bool]:
+    """Return a field of the model under its name, or nothing if the field is false."""
+    return {name: True} if getattr(element, name) else {}
+
+
 def _node(node: Node, motors: Motors, frames: list[FrameDefinition]) -> dict[str, Any]:
     return {
         **_fields(node, "name module protocol id id_space vendor_id product_code revision_number"),
@@ -115,6 +121,7 @@ def _channel(
 def _frame(frame: FrameDefinition) -> dict[str, Any]:
     return {
         **_fields(frame, "name cob_id kind producer"),
+        **_if_true(frame, "extended"),
         "consumers": list(frame.consumers),
         **_fields(frame, "length period deadline minimum_interval response_time pdo"),
         "mapping": [list(entry) for entry in frame.mapping],
@@ -127,6 +134,7 @@ def _signal(signal: Signal) -> dict[str, Any]:
     return {
         **_fields(signal, "name start length signed floating_point scale offset unit minimum"),
         **_fields(signal, "maximum joint multiplexer"),
+        **_if_true(signal, "big_endian"),
         "selected_by": list(signal.selected_by),
         "choices": {name: raw for raw, name in signal.choices},
         "description": signal.description,
@@ -191,14 +199,15 @@ def budget_json(robot: Robot) -> str:
 
 
 def _by_urgency(bus: Bus) -> list[FrameDefinition]:
-    return sorted(bus.frames, key=lambda frame: frame.cob_id)
+    return sorted(bus.frames, key=lambda frame: frame.arbitration)
 
 
 def _row(bus: Bus, frame: FrameDefinition) -> dict[str, Any]:
-    bits = worst_case_bits(frame.length)
+    bits = worst_case_bits(frame.length, frame.extended)
     interval = frame.period or frame.minimum_interval
     return {
         **_fields(frame, "name cob_id producer length"),
+        **_if_true(frame, "extended"),
         "bits": bits,
         "transmission_time": bits / bus.bitrate,
         **_fields(frame, "period minimum_interval"),
@@ -238,11 +247,11 @@ def _table(bus: Bus) -> Iterator[str]:
         load = _row(bus, frame)["load"]
         rows.append(
             (
-                f"0x{frame.cob_id:03x}",
+                key_text(frame.key),
                 frame.name,
                 frame.producer,
                 str(frame.length),
-                str(worst_case_bits(frame.length)),
+                str(worst_case_bits(frame.length, frame.extended)),
                 _milliseconds(frame.period or frame.minimum_interval, "g"),
                 f"{100 * load:.2f}" if load else "-",
                 _milliseconds(frame.response_time, ".3f"),

@@ -116,14 +116,15 @@ def _frames(bus: Bus, names: _Names) -> Iterator[str]:
         if i:
             yield ""
         sender = names.nodes[frame.producer]
-        yield f"BO_ {frame.cob_id} {names.frames[frame.name]}: {frame.length} {sender}"
+        yield f"BO_ {frame.key} {names.frames[frame.name]}: {frame.length} {sender}"
         receivers = ",".join(names.nodes[name] for name in frame.consumers)
         for signal in frame.signals:
             name = names.signals[frame.name][signal.name]
             low, high = _limits(signal)
+            order = f"{0 if signal.big_endian else 1}{'-' if signal.signed else '+'}"
             yield (
                 f" SG_ {name}{_multiplexing(signal)} : {signal.start}|{signal.length}"
-                f"@1{'-' if signal.signed else '+'} ({_number(signal.scale)},"
+                f"@{order} ({_number(signal.scale)},"
                 f'{_number(signal.offset)}) [{low}|{high}] "{_plain(signal.unit)}" '
                 + (f" {receivers}" if receivers else "Vector__XXX")
             )
@@ -148,13 +149,13 @@ def _comments(bus: Bus, names: _Names) -> Iterator[str]:
     for frame in bus.frames:
         text = _plain(frame.description)
         if text:
-            yield f'CM_ BO_ {frame.cob_id} "{text}";'
+            yield f'CM_ BO_ {frame.key} "{text}";'
         for signal in _by_start(frame):
             joint = f" Joint {signal.joint}." if signal.joint is not None else ""
             text = _plain(signal.description + joint)
             if text:
                 name = names.signals[frame.name][signal.name]
-                yield f'CM_ SG_ {frame.cob_id} {name} "{text}";'
+                yield f'CM_ SG_ {frame.key} {name} "{text}";'
 
 
 def _attributes(bus: Bus, names: _Names) -> Iterator[tuple[str, str]]:
@@ -165,15 +166,15 @@ def _attributes(bus: Bus, names: _Names) -> Iterator[tuple[str, str]]:
             yield LONG_NODE, f'BU_ {short} "{long}"'
     for frame in bus.frames:
         if names.frames[frame.name] != frame.name:
-            yield LONG_FRAME, f'BO_ {frame.cob_id} "{frame.name}"'
+            yield LONG_FRAME, f'BO_ {frame.key} "{frame.name}"'
         if frame.period:
             # The attribute contains whole milliseconds; canmap.json contains the exact period.
             cycle_time = max(1, min(round(frame.period * 1000), 0xFFFF))
-            yield CYCLE_TIME, f"BO_ {frame.cob_id} {cycle_time}"
+            yield CYCLE_TIME, f"BO_ {frame.key} {cycle_time}"
         for signal in _by_start(frame):
             short = names.signals[frame.name][signal.name]
             if short != signal.name:
-                yield LONG_SIGNAL, f'SG_ {frame.cob_id} {short} "{signal.name}"'
+                yield LONG_SIGNAL, f'SG_ {frame.key} {short} "{signal.name}"'
 
 
 def _choices(bus: Bus, names: _Names) -> Iterator[str]:
@@ -181,7 +182,7 @@ def _choices(bus: Bus, names: _Names) -> Iterator[str]:
         for signal in _by_start(frame):
             if signal.choices:
                 texts = " ".join(f'{raw} "{_plain(text)}"' for raw, text in signal.choices)
-                yield f"VAL_ {frame.cob_id} {names.signals[frame.name][signal.name]} {texts} ;"
+                yield f"VAL_ {frame.key} {names.signals[frame.name][signal.name]} {texts} ;"
 
 
 def _floating_point(bus: Bus, names: _Names) -> Iterator[str]:
@@ -190,7 +191,7 @@ def _floating_point(bus: Bus, names: _Names) -> Iterator[str]:
             if signal.floating_point:
                 precision = {32: 1, 64: 2}[signal.length]  # single or double
                 name = names.signals[frame.name][signal.name]
-                yield f"SIG_VALTYPE_ {frame.cob_id} {name} : {precision};"
+                yield f"SIG_VALTYPE_ {frame.key} {name} : {precision};"
 
 
 def _selections(bus: Bus, names: _Names) -> Iterator[str]:
@@ -203,7 +204,7 @@ def _selections(bus: Bus, names: _Names) -> Iterator[str]:
         for signal in frame.signals:
             if signal.selected_by:
                 ranges = ", ".join(_ranges(signal.selected_by))
-                yield f"SG_MUL_VAL_ {frame.cob_id} {short[signal.name]} {selector} {ranges};"
+                yield f"SG_MUL_VAL_ {frame.key} {short[signal.name]} {selector} {ranges};"
 
 
 def _ranges(values: Iterable[int]) -> Iterator[str]:

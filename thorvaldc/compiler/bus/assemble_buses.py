@@ -308,7 +308,7 @@ def _timed(bus: Bus) -> Bus:
     returned unchanged.  The Python module ``bus_checks`` reports duplicate identifiers of CAN
     frames.
     """
-    if len({frame.cob_id for frame in bus.frames}) < len(bus.frames):
+    if len({frame.key for frame in bus.frames}) < len(bus.frames):
         return bus
     times = frame_response_times(bus)
     timed = tuple(replace(frame, response_time=times[frame.name]) for frame in bus.frames)
@@ -445,13 +445,14 @@ def _relayed(name: str, device: source.Node, scope: Scope) -> Iterator[FrameDefi
     device_schema = inlined("robot")["properties"]["foreign_devices"]["additionalProperties"]
     schema = device_schema["properties"]["frames"]["additionalProperties"]
     for key, node in entries(device.get("frames")).items():
-        cob_id, length = map(sections.whole_number, map(node.get, ("cob_id", "length")))
-        if cob_id is None:
-            continue  # the schema check reports a missing or invalid COB-ID
+        known = device_frames.identifier(f"`{key}` of `{name}`", node, scope)
+        length = sections.whole_number(node.get("length"))
+        if known is None:
+            continue
         to_device = scope.text(node.get("direction")) == "command"
         yield FrameDefinition(
             f"{name}_{key}",
-            cob_id,
+            known[0],
             "relay",
             MASTER if to_device else name,
             (name,) if to_device else (MASTER,),
@@ -462,4 +463,5 @@ def _relayed(name: str, device: source.Node, scope: Scope) -> Iterator[FrameDefi
             node.where,
             scope.text(node.get("description")),
             device_frames.minimum_interval(Section(node, schema, scope)),
+            extended=known[1],
         )

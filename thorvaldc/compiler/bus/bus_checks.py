@@ -17,7 +17,7 @@ from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.model import Actuator, Bus, FrameDefinition, Robot
-from thorvaldc.model.bus import MASTER
+from thorvaldc.model.bus import MASTER, key_text
 from thorvaldc.model.bus_identity import are_alike
 
 LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
@@ -281,7 +281,7 @@ def check_restricted(placed: Sequence[sections.Placed], report: Report) -> None:
     checked = ("pdo", "broadcast", "relay") if canopen else ("relay",)
     for device in placed:
         for frame in device.frames:
-            if frame.kind not in checked:
+            if frame.kind not in checked or frame.extended:
                 continue
             for low, high in RESTRICTED:
                 if low <= frame.cob_id <= high:
@@ -295,7 +295,7 @@ def check_restricted(placed: Sequence[sections.Placed], report: Report) -> None:
 
 
 class _Claim(NamedTuple):
-    cob_id: int
+    key: int
     what: str
     owner: str
     span: Span
@@ -305,7 +305,7 @@ class _Claim(NamedTuple):
 def check_cob_ids(
     bus: Bus, placed: Sequence[sections.Placed], skipped: dict[str, None], report: Report
 ) -> None:
-    """Reports an error if two CAN frames of a bus have the same COB-ID.
+    """Reports an error if two CAN frames of a bus have the same COB-ID with equally many bits.
 
     The check includes the CAN frames of the CANopen master and of the CANopen standard services.
 
@@ -314,12 +314,12 @@ def check_cob_ids(
     first: dict[int, _Claim] = {}
     conflicts: dict[tuple[str, str], list[tuple[_Claim, _Claim]]] = {}
     for claim in _claims(bus, placed, skipped):
-        other = first.setdefault(claim.cob_id, claim)
+        other = first.setdefault(claim.key, claim)
         if other is not claim:
             conflicts.setdefault((other.owner, claim.owner), []).append((other, claim))
     for pairs in conflicts.values():
         other, claim = pairs[0]
-        named = ", ".join(f"{c.cob_id:#05x} ({o.what}, {c.what})" for o, c in pairs)
+        named = ", ".join(f"{key_text(c.key)} ({o.what}, {c.what})" for o, c in pairs)
         labels = [Label(other.span, "first used here")] if other.device is not None else []
         who = f"`{claim.owner}`"
         if claim.owner == other.owner:
@@ -349,7 +349,7 @@ def _claims(
         if frame.name not in own:
             canopen = True
             what = {"nmt": "NMT", "sync": "SYNC"}.get(frame.kind, frame.kind)
-            yield _Claim(frame.cob_id, what, MASTER, bus.span, None)
+            yield _Claim(frame.key, what, MASTER, bus.span, None)
     if canopen:
         for cob_id, service in STANDARD:
             yield _Claim(cob_id, service, MASTER, bus.span, None)
@@ -359,7 +359,7 @@ def _claims(
         prefix = f"{device.node.name}_"
         for frame in device.frames:
             what = frame.name.removeprefix(prefix)
-            yield _Claim(frame.cob_id, what, device.path, device.span, device)
+            yield _Claim(frame.key, what, device.path, device.span, device)
 
 
 def check_names(bus: Bus, placed: Sequence[sections.Placed], report: Report) -> None:

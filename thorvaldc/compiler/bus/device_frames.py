@@ -7,7 +7,7 @@ a device add further CAN frames, such as heartbeats.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -34,6 +34,7 @@ from thorvaldc.schema import inlined
 
 HEARTBEAT_PERIOD = 0.1  # default heartbeat period of a device in s
 LAST_PDO = 512
+LAST_EXTENDED = (1 << 29) - 1
 _DIRECTED = tuple(
     QUANTITIES[kind].dimensions[0]
     for kind in ("angle", "angular_velocity", "angular_acceleration", "torque")
@@ -90,8 +91,9 @@ def frames_of(
     can_schema = inlined("module")["properties"]["can"]
     schema = can_schema["properties"]["frames"]["additionalProperties"]
     for key, node in entries(device.can.get("frames")).items():
-        cob_id = _cob_id(device, key, node, report)
-        if cob_id is None:
+        labels = [Label(device.span, "this device has it")]
+        known = identifier(f"`{key}` of `{device.path}`", node, scope, labels)
+        if known is None:
             continue
         length = integer(scope, node.get("length"), 8)
         period = _period(device, node, sync_period, report)
@@ -106,6 +108,15 @@ def frames_of(
             period = None
         deadline = node.get("deadline")
         number, mapping = _pdo(device, node, length, report)
+        if number is not None and (known[1] or any(s.big_endian for s, _ in signals)):
+            report.add(
+                "can-pdo-mapping",
+                f"the frame `{key}` is a PDO of CANopen, which is a standard frame with "
+                "little-endian signals",
+                node.span,
+                hint="remove `extended` and `big_endian`; or `pdo` and `mapping`, if the device "
+                "does not speak CANopen",
+            )
         synchronous = scope.boolean(node.get("synchronous"), False)
         if synchronous and (node.get("period") or node).value != "cycle":
             report.add(
@@ -122,7 +133,7 @@ def frames_of(
             check_scales(device, node, signals, report)
             yield FrameDefinition(
                 f"{name}_{key}",
-                cob_id,
+                known[0],
                 scope.text(node.get("kind"), "pdo"),
                 MASTER if sends else name,
                 (name,) if sends else (MASTER,),
@@ -136,6 +147,7 @@ def frames_of(
                 pdo=number,
                 mapping=mapping,
                 synchronous=synchronous,
+                extended=known[1],
             )
     stated = device.can.get("heartbeat_period")
     heartbeat_period = HEARTBEAT_PERIOD if stated is None else _time(device, stated, report)
@@ -283,6 +295,7 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
             ),
             scope.text(get("description")),
             scope.boolean(get("floating_point"), False),
+            scope.boolean(get("big_endian"), False),
         )
         if wire is not None and wire.actuator.inverted and _has_direction(signal):
             signal = _inverted(signal)
@@ -427,20 +440,73 @@ def _is_wired(device: Device, channel: str | None) -> bool:
     return channel is None or any(wire.channel == channel for wire in device.wires)
 
 
-def _cob_id(device: Device, key: str, frame: Node, report: Report) -> int | None:
-    node = frame.get("cob_id") or frame
-    value = device.scope.quantity(node, "ratio", math.nan)
-    if 0 <= value <= 0x7FF and value.is_integer():
-        return round(value)
-    if not math.isnan(value):  # NaN means that an invalid COB-ID is already reported
+def identifier(
+    name: str, frame: Node, scope: Scope, labels: Sequence[Label] = ()
+) -> tuple[int, bool] | None:
+    """Returns the identifier of a frame, and whether it has 29 bits.
+
+    Reports an invalid identifier and returns ``None``.
+
+    - ``name``: name of the frame for messages.
+    """
+    node, report = frame.get("cob_id"), scope.report
+    if node is None:
+        return None  # the schema check reports a missing identifier
+    if isinstance(node.value, dict):
+        return _j1939_identifier(name, frame, node, scope)
+    extended = scope.boolean(frame.get("extended"), False)
+    value = scope.quantity(node, "ratio", math.nan)
+    if 0 <= value < 1 << (29 if extended else 11) and value.is_integer():
+        return round(value), extended
+    if not math.isnan(value):  # NaN means that an invalid identifier is already reported
+        fits = not extended and 0 <= value <= LAST_EXTENDED
         report.add(
             "can-cob-id-range",
-            f"the frame `{key}` of `{device.path}` has the identifier {_hexadecimal(value)}; "
-            "a standard frame has 0x0 to 0x7ff",
+            f"the frame {name} has the identifier {_hexadecimal(value)}; "
+            f"{'an extended' if extended else 'a standard'} frame has 0x0 to "
+            f"{LAST_EXTENDED if extended else 0x7FF:#x}",
             node.span,
-            labels=[Label(device.span, "this device has it")],
+            labels=labels,
+            hint=insertion("add `extended: true`", frame, "extended", "true", is_example=False)
+            if fits
+            else None,
         )
     return None
+
+
+def _j1939_identifier(name: str, frame: Node, node: Node, scope: Scope) -> tuple[int, bool] | None:
+    """Returns the 29-bit identifier of a frame of SAE J1939-21.
+
+    ```
+    bits 28..26   priority
+    bits 25..8    parameter group number (PGN): reserved bit, data page, PDU format, PDU specific
+    bits 7..0     source address
+    ```
+
+    If the PDU format is below 240 (PDU1), the PDU specific field is the destination address.
+    """
+    limits = {"priority": 7, "pgn": 0x3FFFF, "source": 0xFF, "destination": 0xFF}
+    numbers = {key: integer(scope, node.get(key), 0) for key in limits}
+    wrong = [key for key, most in limits.items() if not 0 <= numbers[key] <= most]
+    pgn, has_destination = numbers["pgn"], node.get("destination") is not None
+    to_one = (pgn >> 8 & 0xFF) < 0xF0
+    problem = hint = ""
+    if wrong:
+        problem = f"the {wrong[0]} {numbers[wrong[0]]}; it must be 0 to {limits[wrong[0]]}"
+    elif to_one and pgn & 0xFF:
+        problem = f"the PGN {pgn:#x}, whose lower 8 bits are those of the destination"
+        hint = f"write `pgn: {pgn & ~0xFF:#x}` and `destination: {pgn & 0xFF}`"
+    elif to_one is not has_destination:
+        problem = f"the PGN {pgn:#x} and {'no' if to_one else 'a'} `destination`"
+        hint = "a PGN with a PDU format below 240 (0xF0) has one, others have none"
+    elif not scope.boolean(frame.get("extended"), True):
+        problem, hint = "an identifier of J1939, which has 29 bits", "remove `extended: false`"
+    if problem:
+        text = f"the frame {name} has {problem}"
+        scope.report.add("can-cob-id-range", text, node.where, hint=hint or None)
+        return None
+    parameter_group = pgn | numbers["destination"]
+    return numbers["priority"] << 26 | parameter_group << 8 | numbers["source"], True
 
 
 def _hexadecimal(value: float) -> str:

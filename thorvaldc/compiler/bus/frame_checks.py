@@ -55,8 +55,18 @@ def check_layout(
     span_of = {name: node.where for name, node in entries(frame.get("signals")).items()}
     inside: list[Signal] = []
     for signal, _ in signals:
-        if signal.length > 0 <= signal.start and signal.start + signal.length <= 8 * length:
+        room = 8 * length - signal.first_bit
+        if signal.length > 0 <= signal.start and signal.length <= room:
             inside.append(signal)
+        elif signal.big_endian:
+            report.add(
+                "can-signal-bounds",
+                f"the big-endian signal `{signal.name}` starts at bit {signal.start} and has "
+                f"{signal.length} bits; the frame has {max(room, 0)} from there on",
+                span_of[signal.name],
+                hint="`start` is the most significant bit: bit 7 is the first of byte 0, bit 15 of "
+                "byte 1",
+            )
         else:
             report.add(
                 "can-signal-bounds",
@@ -179,9 +189,8 @@ def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report:
         )
         report.add(
             "can-signal-overlap",
-            f"the signals `{first.name}` (bits {first.start} to "
-            f"{first.start + first.length - 1}) and `{signal.name}` (bits {signal.start} to "
-            f"{signal.start + signal.length - 1}) share bits",
+            f"the signals `{first.name}` ({_bits_text(first)}) and `{signal.name}` "
+            f"({_bits_text(signal)}) share bits",
             span_of[signal.name],
             labels=[Label(span_of[first.name], "first used here")],
         )
@@ -189,7 +198,12 @@ def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report:
 
 
 def _mask(signal: Signal) -> int:
-    return ((1 << signal.length) - 1) << signal.start
+    return sum(1 << bit for bit in signal.bits)
+
+
+def _bits_text(signal: Signal) -> str:
+    order = ", big endian" if signal.big_endian else ""
+    return f"bits {signal.bits[0]} to {signal.bits[-1]}{order}"
 
 
 def check_scales(

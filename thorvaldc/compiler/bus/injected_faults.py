@@ -61,6 +61,15 @@ class _Reader:
         bus, device = self._bus_and_device(node, kind)
         if not self._has_keys(node, name, kind) or bus is None:
             return None
+        if (section["cob_id"] or 0) > 0x7FF and section["format"] != "extended":
+            self.report.add(
+                "can-cob-id-range",
+                f"the fault `{name}` has the identifier {section['cob_id']:#x}; a "
+                f"{section['format']} frame has 0x0 to 0x7ff",
+                section.node.where,
+                hint="write `format: extended` for an identifier with 29 bits",
+            )
+            return None
         if device is not None and not self._suits(node, name, device):
             return None
         values = {key: value for key, value in section.items() if key not in _WHEN}

@@ -30,6 +30,8 @@ _SYNONYMS: dict[str, str] = {
     "rate": "frequency hz",
     "command_timeout": "timeout",
     "max_linear_velocity": "max_speed max_velocity speed_limit",
+    "big_endian": "byte_order endianness endian motorola",
+    "extended": "is_extended extended_id eff",
     "bitrate": "baud baudrate speed",
     "base_calculator": "controller",
     "duration": "time length",

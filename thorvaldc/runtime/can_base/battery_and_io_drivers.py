@@ -66,7 +66,7 @@ class BatteryDriver(abc.ABC):
         self.node = node
         self.codecs = node_codecs(bus, node)
         self.handlers: dict[int, Callable[[bytes, float], None]] = {}
-        """Handlers by COB-ID; called once in a cycle with data and time (s) of the newest frame."""
+        """Handlers by key of a frame; called once in a cycle with its newest data and time (s)."""
         self.state = BatteryState()
 
     @property
@@ -104,7 +104,7 @@ class KcBatteryDriver(BatteryDriver):
         def handle(data: bytes, time: float) -> None:
             self._update(codec.decode_named(data), time)
 
-        self.handlers[codec.cob_id] = handle
+        self.handlers[codec.key] = handle
 
     def _update(self, values: dict[str, float], time: float) -> None:
         state = self.state
@@ -152,7 +152,7 @@ class IoBoardDriver:
         self._report = next((c for c in codecs if c.frame.producer == node.name), None)
         self.handlers: dict[int, Callable[[bytes, float], None]] = {}
         if self._report is not None:
-            self.handlers[self._report.cob_id] = self._handle_report
+            self.handlers[self._report.key] = self._handle_report
         self.time = -math.inf
         """Time (s) of the newest report."""
         properties = dict(node.properties)
@@ -177,7 +177,7 @@ class IoBoardDriver:
         self.outputs[name] = on
         values: dict[str, float] = {key: float(value) for key, value in self.outputs.items()}
         data = self._command.encode_named({**values, **self._constants})
-        return CanFrame(self._command.cob_id, data)
+        return self._command.can_frame(data)
 
     def _handle_report(self, data: bytes, time: float) -> None:
         if self._report is not None:

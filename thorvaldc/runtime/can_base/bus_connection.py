@@ -11,7 +11,7 @@ from typing import Final
 from thorvaldc.can import canopen
 from thorvaldc.can.frame import CanFrame, CanInterface, ErrorState
 from thorvaldc.model import Bus, FrameDefinition, Node, Robot
-from thorvaldc.model.bus import MASTER
+from thorvaldc.model.bus import MASTER, key_text
 from thorvaldc.model.bus_identity import Heard
 from thorvaldc.model.stopping import watchdog_time, yaw_per_metre
 from thorvaldc.runtime.can_base import (
@@ -96,7 +96,7 @@ class BusConnection:
         self._heartbeat_due = -math.inf
         by_name = {c.node.name: c for c in self.controllers}
         self._emergency_frames = {
-            f.cob_id: by_name[f.producer]
+            f.key: by_name[f.producer]
             for f in bus.frames
             if f.kind == "emcy" and f.producer in by_name
         }
@@ -131,15 +131,17 @@ class BusConnection:
         self._unknown_ids = _ids_of_unknown_nodes(bus)
         self.unknown_node: int | None = None
         """Id of a CANopen node on the bus that the robot file does not have, or ``None``."""
-        event_ids = {
+        event_keys = {
             *self._master_names,
             *self._unknown_ids,
             *self.relay.from_device,
             *self._emergency_frames,
             *self._sdo_responses,
-            *(f.cob_id for f in bus.frames if f.kind == "heartbeat" and f.producer in by_name),
+            *(f.key for f in bus.frames if f.kind == "heartbeat" and f.producer in by_name),
         }
-        self.receiver = frame_receiver.FrameReceiver(interface, event_ids)
+        # Frames of other buses tell that two buses are exchanged.
+        extended = {f.key for each in robot.buses for f in each.frames if f.extended}
+        self.receiver = frame_receiver.FrameReceiver(interface, event_keys, extended)
         self.watchdog = node_watchdog.NodeWatchdog(bus, self.controllers, self.receiver.latest)
         periods = {n: t for c in self.controllers for n, t in c.shortest_periods().items()}
         names = [*by_name, *self._device_names()]
@@ -173,36 +175,34 @@ class BusConnection:
             self._handle_event(event)
         self.rates.take_sample()
         latest, handled = self.receiver.latest, self._handled
-        for cob_id, handler in self._handlers:
-            frame = latest.get(cob_id)
-            if frame is None or handled.get(cob_id) == frame.number:
+        for key, handler in self._handlers:
+            frame = latest.get(key)
+            if frame is None or handled.get(key) == frame.number:
                 continue
-            handled[cob_id] = frame.number
+            handled[key] = frame.number
             try:
                 handler(frame.data, frame.time)
-                self.watchdog.malformed_since.pop(cob_id, None)
+                self.watchdog.malformed_since.pop(key, None)
             except ValueError:
                 self.malformed += 1
-                self.watchdog.malformed_since.setdefault(cob_id, frame.time)
+                self.watchdog.malformed_since.setdefault(key, frame.time)
 
     def _handle_event(self, event: frame_receiver.Event) -> None:
-        time, cob_id, data = event
-        if cob_id in self.watchdog.heartbeat_frames:
-            self.watchdog.take_heartbeat(cob_id, data, time)
-        elif cob_id in self._emergency_frames:
+        time, key, data = event
+        if key in self.watchdog.heartbeat_frames:
+            self.watchdog.take_heartbeat(key, data, time)
+        elif key in self._emergency_frames:
             if len(data) >= 2:
-                self._emergency_frames[cob_id].error_code = canopen.Emergency.unpack(
-                    data
-                ).error_code
-        elif cob_id in self._sdo_responses:
-            self._take_sdo_response(self._sdo_responses[cob_id], data)
-        elif cob_id in self.relay.from_device:
-            self.relay.take(cob_id, data, time)
-        elif cob_id in self._master_names:
-            name = self._master_names[cob_id]
-            self.foreign_master = f"another master is on the bus: it sends {name} ({cob_id:#05x})"
-        elif cob_id in self._unknown_ids:
-            self.unknown_node = cob_id & 0x7F
+                self._emergency_frames[key].error_code = canopen.Emergency.unpack(data).error_code
+        elif key in self._sdo_responses:
+            self._take_sdo_response(self._sdo_responses[key], data)
+        elif key in self.relay.from_device:
+            self.relay.take(key, data, time)
+        elif key in self._master_names:
+            name = self._master_names[key]
+            self.foreign_master = f"another master is on the bus: it sends {name} ({key_text(key)})"
+        elif key in self._unknown_ids:
+            self.unknown_node = key & 0x7F
 
     def _take_sdo_response(self, name: str, data: bytes) -> None:
         readback = self.readbacks.get(name)
@@ -322,7 +322,7 @@ class BusConnection:
         """
         values: dict[str, float] = {}
         for codec in self._reports[name]:
-            frame, period = self.receiver.latest.get(codec.cob_id), codec.frame.period
+            frame, period = self.receiver.latest.get(codec.key), codec.frame.period
             known = dict.fromkeys(codec.names, math.nan)
             oldest = max(DEVICE_TIMEOUT, 2.0 * (math.inf if period is None else period))
             if frame is not None and now - frame.time <= oldest:
@@ -391,14 +391,15 @@ class BusConnection:
         )
 
     def cyclic_frames(self, intent: motor_controller.Intent, now: float) -> list[CanFrame]:
-        """Returns the motor command frames of a control cycle in the order of their CAN
-        identifiers.
+        """Returns the motor command frames of a control cycle in the order of their
+        arbitration.
 
         Raises ``ValueError`` if a target speed or a target angle is not finite.
         """
-        return sorted(
+        frames = [
             frame for c in self.controllers for frame in c.cyclic_frames(c.intent_of(intent), now)
-        )
+        ]
+        return sorted(frames, key=lambda frame: frame.arbitration)
 
     def occasional_frames(
         self, intent: motor_controller.Intent, now: float, commands: bool, driving: bool
@@ -488,7 +489,7 @@ class BusConnection:
             frame = None if self.overdue else self.relay.next_outgoing()
             if frame is None:
                 return
-            self.relay.count_sent(frame, self.send(CanFrame(frame.id, frame.data)))
+            self.relay.count_sent(frame, self.send(frame))
 
     def send_heartbeat(self, now: float, operational: bool) -> None:
         """Sends the CANopen heartbeat of the master if the heartbeat period has passed.
@@ -523,7 +524,7 @@ class BusConnection:
 
 
 def _master_frames(bus: Bus) -> dict[int, str]:
-    """Returns a description of each frame that only the master may send, by COB-ID.
+    """Returns a description of each frame that only the master may send, by key.
 
     NMT, SYNC and LSS belong to the master only on a bus with CANopen nodes.  Frames that the base
     driver relays to foreign devices are excluded: a foreign device may have a master of its own.
@@ -537,11 +538,11 @@ def _master_frames(bus: Bus) -> dict[int, str]:
         if frame.producer != MASTER:
             continue
         if frame.kind == "heartbeat":
-            names[frame.cob_id] = "a heartbeat"
+            names[frame.key] = "a heartbeat"
         elif frame.kind == "sdo":
-            names[frame.cob_id] = f"SDO requests to {', '.join(frame.consumers)}"
+            names[frame.key] = f"SDO requests to {', '.join(frame.consumers)}"
         elif frame.kind == "pdo":
-            names[frame.cob_id] = f"commands to {', '.join(frame.consumers)}"
+            names[frame.key] = f"commands to {', '.join(frame.consumers)}"
     return names
 
 
@@ -550,7 +551,7 @@ def _ids_of_unknown_nodes(bus: Bus) -> frozenset[int]:
     if not any(node.is_canopen for node in bus.nodes):
         return frozenset()
     ids = {base + i for base in (canopen.EMCY, canopen.HEARTBEAT) for i in range(1, 128)}
-    return frozenset(ids - {frame.cob_id for frame in bus.frames})
+    return frozenset(ids - {frame.key for frame in bus.frames})
 
 
 def _sdo_frames(bus: Bus, node: str) -> list[FrameDefinition]:

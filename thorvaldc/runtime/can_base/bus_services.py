@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from thorvaldc.can.frame import CanFrame
+from thorvaldc.model.bus import key_text
 from thorvaldc.runtime.base_interface import ComponentStatus, RequestRefused
 from thorvaldc.runtime.can_base.base_state_machine import BaseState, BaseStateMachine, StateChange
 from thorvaldc.runtime.can_base.battery_and_io_drivers import (
@@ -98,15 +99,15 @@ class BusServices:
         known = f"; there are {boards}" if boards else ""
         raise RequestRefused(f"there is no IO board `{board}`{known}")
 
-    def send_to_device(self, cob_id: int, data: bytes, now: float, bus: str = "") -> None:
+    def send_to_device(self, frame: CanFrame, now: float, bus: str = "") -> None:
         """Relays a CAN frame to a foreign device.  An empty ``bus`` selects the first CAN bus.
 
         Raises ``RequestRefused`` if the bus is unknown or the relay drops the CAN frame, for
         example because the robot file does not allow its CAN id.
         """
-        reason = self._connection(bus).relay.offer(CanFrame(cob_id, data), now)
+        reason = self._connection(bus).relay.offer(frame, now)
         if reason:
-            raise RequestRefused(f"{cob_id:#05x}: {reason}")
+            raise RequestRefused(f"{key_text(frame.key)}: {reason}")
 
     def from_devices(self, bus: str = "") -> list[RelayedFrame]:
         """Returns the CAN frames that foreign devices have sent since the last call."""
@@ -118,9 +119,9 @@ class BusServices:
         The keys of the returned dictionary are texts such as ``0x240 too often``.
         """
         return {
-            f"{cob_id:#05x} {reason}": number
+            f"{key_text(key)} {reason}": number
             for connection in self._connections
-            for (cob_id, reason), number in sorted(connection.relay.dropped.items())
+            for (key, reason), number in sorted(connection.relay.dropped.items())
         }
 
     # -- inside --------------------------------------------------------------------------------
@@ -154,19 +155,29 @@ class BusServices:
 def bus_services(services: BusServices) -> Iterator[Service]:
     """Yields the services of a robot with CAN buses, for the table of services."""
 
-    def send_to_device(now: float, cob_id: int, data: str, bus: str = "") -> None:
+    def send_to_device(
+        now: float, cob_id: int, data: str, bus: str = "", extended: bool = False
+    ) -> None:
         try:
             content = bytes.fromhex(data)
         except ValueError:
             raise ServiceError(f"`data` is {data!r}; it must be bytes in hexadecimal") from None
-        if len(content) > 8 or not 0 <= cob_id <= 0x7FF:
-            raise ServiceError("a frame has an identifier of 11 bits and at most 8 bytes")
-        services.send_to_device(cob_id, content, now, bus)
+        if len(content) > 8 or not 0 <= cob_id < 1 << (29 if extended else 11):
+            raise ServiceError(
+                "a frame has an identifier of 11 bits, with `extended` of 29 bits, and at most 8 "
+                "bytes"
+            )
+        services.send_to_device(CanFrame(cob_id, content, extended), now, bus)
 
     def from_devices(bus: str = "") -> list[dict[str, Any]]:
         return [
-            {"time": frame.time, "cob_id": frame.cob_id, "data": frame.data.hex()}
-            for frame in services.from_devices(bus)
+            {
+                "time": time,
+                "cob_id": frame.id,
+                "extended": frame.extended,
+                "data": frame.data.hex(),
+            }
+            for time, frame in services.from_devices(bus)
         ]
 
     yield Service(

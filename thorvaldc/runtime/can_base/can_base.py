@@ -363,14 +363,13 @@ class CanBase(base_interface.BaseHandle):
     def send_to_device(self, frame: CanFrame, now: float) -> str:
         """A frame that no bus knows is refused by the last bus, which counts it."""
         for connection in self.connections:
-            if frame.id in connection.relay.to_device or connection is self.connections[-1]:
+            if frame.key in connection.relay.to_device or connection is self.connections[-1]:
                 return connection.relay.offer(frame, now)
         return ""
 
     def frames_from_devices(self) -> Iterator[CanFrame]:
         for connection in self.connections:
-            for frame in connection.relay.received():
-                yield CanFrame(frame.cob_id, frame.data)
+            yield from (relayed.frame for relayed in connection.relay.received())
 
     def services(self) -> list[Service]:
         return list(bus_services(self.nodes))

@@ -206,7 +206,7 @@ class Cia402Controller(MotorController):
                 reported_mode = int(values[mode]) if mode is not None else None
                 machine.update(int(values[status_word]), reported_mode)
 
-        self.handlers[codec.cob_id] = handle
+        self.handlers[codec.key] = handle
 
     # -- state -----------------------------------------------------------------------------------
 
@@ -277,7 +277,7 @@ class Cia402Controller(MotorController):
                 _signal_value(signal.name, axis.channel, word, mode, target)
                 for signal in codec.frame.signals
             ]
-            frames.append(CanFrame(codec.cob_id, codec.encode(values)))
+            frames.append(codec.can_frame(codec.encode(values)))
         return frames
 
 

@@ -37,22 +37,21 @@ class RelayedFrame(NamedTuple):
     """A CAN frame from a foreign device, with its time of reception (s)."""
 
     time: float
-    cob_id: int
-    data: bytes
+    frame: CanFrame
 
 
 class Relay:
     """Relays CAN frames between other programs and the foreign devices on one bus.
 
-    ``passed``: number of relayed CAN frames by identifier.  ``dropped``: number of dropped CAN
-    frames by identifier and reason, which is ``not allowed``, ``too often``, ``too long``,
+    ``passed``: number of relayed CAN frames by key.  ``dropped``: number of dropped CAN frames by
+    key and reason, which is ``not allowed``, ``too often``, ``too long``,
     ``muted``, ``queue full`` or ``not sent``.
     """
 
     def __init__(self, bus: Bus) -> None:
         frames = [frame for frame in bus.frames if frame.kind == "relay"]
-        self.to_device = {f.cob_id: f for f in frames if f.producer == MASTER}
-        self.from_device = {f.cob_id: f for f in frames if f.producer != MASTER}
+        self.to_device = {f.key: f for f in frames if f.producer == MASTER}
+        self.from_device = {f.key: f for f in frames if f.producer != MASTER}
         self.muted = False
         self.passed: Counter[int] = Counter()
         self.dropped: Counter[tuple[int, str]] = Counter()
@@ -65,40 +64,41 @@ class Relay:
 
         Returns the reason if the CAN frame is dropped, or an empty text if the CAN frame is queued.
         """
-        definition = self.to_device.get(frame.id)
+        definition = self.to_device.get(frame.key)
         reason = ""
-        if definition is None or frame.extended or frame.remote:
+        if definition is None or frame.remote:
             reason = "not allowed"
         elif self.muted:
             reason = "muted"
         elif len(frame.data) > definition.length:
             reason = "too long"
-        elif not self._within_rate(frame.id, definition.minimum_interval, now):
+        elif not self._within_rate(frame.key, definition.minimum_interval, now):
             reason = "too often"
         elif len(self._outgoing) >= QUEUE_LIMIT:
             reason = "queue full"
         if reason:
-            self.dropped[frame.id, reason] += 1
+            self.dropped[frame.key, reason] += 1
         else:
             self._outgoing.append(frame)
         return reason
 
-    def take(self, cob_id: int, data: bytes, time: float) -> None:
+    def take(self, key: int, data: bytes, time: float) -> None:
         """Queues a CAN frame received from a foreign device for other programs.
 
         If the queue is full, the oldest CAN frame in the queue is dropped.
         """
-        definition = self.from_device.get(cob_id)
+        definition = self.from_device.get(key)
         if definition is None:
             return
-        if not self._within_rate(cob_id, definition.minimum_interval, time):
-            self.dropped[cob_id, "too often"] += 1
+        if not self._within_rate(key, definition.minimum_interval, time):
+            self.dropped[key, "too often"] += 1
             return
         if len(self._incoming) >= QUEUE_LIMIT:
             oldest = self._incoming.popleft()
-            self.dropped[oldest.cob_id, "queue full"] += 1
-        self._incoming.append(RelayedFrame(time, cob_id, data))
-        self.passed[cob_id] += 1
+            self.dropped[oldest.frame.key, "queue full"] += 1
+        frame = CanFrame(definition.cob_id, data, definition.extended)
+        self._incoming.append(RelayedFrame(time, frame))
+        self.passed[key] += 1
 
     def next_outgoing(self) -> CanFrame | None:
         """Removes and returns the oldest CAN frame in the queue of frames to send, or returns
@@ -111,9 +111,9 @@ class Relay:
         ``sent``: ``False`` if the CAN interface did not accept the CAN frame.
         """
         if sent:
-            self.passed[frame.id] += 1
+            self.passed[frame.key] += 1
         else:
-            self.dropped[frame.id, "not sent"] += 1
+            self.dropped[frame.key, "not sent"] += 1
 
     def received(self) -> list[RelayedFrame]:
         """Returns the CAN frames received from foreign devices since the last call of
@@ -129,9 +129,9 @@ class Relay:
         """
         self.muted = muted
         while muted and self._outgoing:
-            self.dropped[self._outgoing.popleft().id, "muted"] += 1
+            self.dropped[self._outgoing.popleft().key, "muted"] += 1
 
-    def _within_rate(self, cob_id: int, interval: float | None, now: float) -> bool:
+    def _within_rate(self, key: int, interval: float | None, now: float) -> bool:
         """Returns ``True`` if a CAN frame is within the rate limit of its identifier, and updates
         the due time.
 
@@ -140,8 +140,8 @@ class Relay:
         """
         if interval is None:
             return True
-        due = self._due.get(cob_id, now)
+        due = self._due.get(key, now)
         if now < due - 0.5 * interval - _ROUNDING:
             return False
-        self._due[cob_id] = max(due, now) + interval
+        self._due[key] = max(due, now) + interval
         return True

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from thorvaldc.can.frame import NANOSECONDS, CanInterface, ReceivedFrame
 from thorvaldc.model import Bus, FrameDefinition
+from thorvaldc.model.bus import key_text
 
 EVENT_LIMIT = 512
 """Size of the event queue, in frames."""
@@ -21,16 +22,16 @@ class Event(NamedTuple):
     """A received CAN frame that must not be skipped, such as a heartbeat or an EMCY message."""
 
     time: float
-    cob_id: int
+    key: int
     data: bytes
 
 
 class LatestFrame(NamedTuple):
-    """The newest received CAN frame with a given identifier.
+    """The newest received CAN frame with a given key.
 
     - ``time``: time of reception (s);
     - ``data``: data bytes of the frame;
-    - ``number``: number of frames received with this identifier.
+    - ``number``: number of frames received with this key.
     """
 
     time: float
@@ -41,21 +42,29 @@ class LatestFrame(NamedTuple):
 class FrameReceiver:
     """Receives CAN frames in a separate thread or in the method ``drain``.
 
-    - ``latest``: newest frame of each identifier, which is sufficient for periodic reports;
-    - ``received``: number of received data frames with standard identifier;
+    - ``latest``: newest frame of each key (``CanFrame.key``), which is sufficient for periodic
+      reports;
+    - ``received``: number of received data frames, standard ones and known extended ones;
     - ``dropped``: number of events that were lost because the event queue was full;
-    - ``ignored``: number of extended and remote frames, which CANopen does not use;
+    - ``ignored``: number of remote frames and of other extended frames, which CANopen does not use;
     - ``ignored_id``: identifier of the newest of them that has the number of an event, or ``None``;
     - ``drained_until``: time (s) up to which all frames on the bus are in ``latest``, and were
       returned by ``drain``.  Frames that still wait in the CAN interface, because the receiving
       thread runs late, are newer.
 
-    CAN frames whose identifiers are in the parameter ``events`` are also put into the event queue.
-    If the event queue is full, the oldest CAN frame in the event queue is dropped.
+    CAN frames whose keys are in the parameter ``events`` are also put into the event queue.  If the
+    event queue is full, the oldest CAN frame in the event queue is dropped.  The parameter
+    ``extended`` has the keys of the known extended frames: ``latest`` must not grow with each of
+    the other 29-bit identifiers.
     """
 
     def __init__(
-        self, interface: CanInterface, events: Collection[int], *, limit: int = EVENT_LIMIT
+        self,
+        interface: CanInterface,
+        events: Collection[int],
+        extended: Collection[int] = (),
+        *,
+        limit: int = EVENT_LIMIT,
     ) -> None:
         self.interface = interface
         self.latest: dict[int, LatestFrame] = {}
@@ -66,7 +75,8 @@ class FrameReceiver:
         self.drained_until = -math.inf
         self.lost: str = ""
         """Reason why the CAN interface is lost; empty if the CAN interface works."""
-        self._event_ids = frozenset(events)
+        self._event_keys = frozenset(events)
+        self._extended = frozenset(extended)
         self._events: deque[Event] = deque()
         self._limit = limit
         self._lock = threading.Lock()
@@ -124,22 +134,23 @@ class FrameReceiver:
         frame = received.frame
         if received.own:
             return
-        if frame.extended or frame.remote:
+        key = frame.key
+        if frame.remote or (frame.extended and key not in self._extended):
             self.ignored += 1
-            if frame.id in self._event_ids:
+            if frame.id in self._event_keys or key in self._event_keys:
                 self.ignored_id = frame.id
             return
         self.received += 1
         time = received.time / NANOSECONDS
-        previous = self.latest.get(frame.id)
+        previous = self.latest.get(key)
         number = 1 if previous is None else previous.number + 1
-        self.latest[frame.id] = LatestFrame(time, frame.data, number)
-        if frame.id in self._event_ids:
+        self.latest[key] = LatestFrame(time, frame.data, number)
+        if key in self._event_keys:
             with self._lock:
                 if len(self._events) >= self._limit:
                     self._events.popleft()
                     self.dropped += 1
-                self._events.append(Event(time, frame.id, frame.data))
+                self._events.append(Event(time, key, frame.data))
 
 
 # -- detects CAN frames that arrive more often than the robot file states -----------------------
@@ -200,10 +211,10 @@ class _Rate:
     ``period``: shortest allowed period (s) of the frame.
     """
 
-    __slots__ = ("cob_id", "excess", "frame_name", "name", "node", "number", "per_second", "time")
+    __slots__ = ("excess", "frame_name", "key", "name", "node", "number", "per_second", "time")
 
     def __init__(self, frame: FrameDefinition, period: float) -> None:
-        self.cob_id = frame.cob_id
+        self.key = frame.key
         self.node = frame.producer
         self.frame_name = frame.name
         self.name = frame.name.removeprefix(f"{frame.producer}_")
@@ -238,7 +249,7 @@ class FrameRates:
     - ``excessive``: description of the first identifier with too many frames by name of the node;
     - ``missed_time``: time (s) that the clock of the computer has missed, as the frames of all
       nodes say, at the first identifier with too many frames; 0 if single nodes send too many.
-    - ``latest``: newest received frame of each identifier.
+    - ``latest``: newest received frame of each key.
     """
 
     def __init__(
@@ -278,7 +289,7 @@ class FrameRates:
         self.missed_time = 0.0
         for group in self._groups:
             for rate in group:
-                rate.clear(self._latest.get(rate.cob_id))
+                rate.clear(self._latest.get(rate.key))
 
     def forget(self, nodes: Collection[str]) -> bool:
         """Counts the frames of some nodes anew; returns whether one of them sent too many."""
@@ -286,21 +297,21 @@ class FrameRates:
         for group in self._groups:
             for rate in group:
                 if rate.node in noticed:
-                    rate.clear(self._latest.get(rate.cob_id))
+                    rate.clear(self._latest.get(rate.key))
         return bool(noticed)
 
     def take_sample(self) -> None:
         """Takes a sample of a part of the identifiers; called once in each control cycle."""
         self._next_group = (self._next_group + 1) % SAMPLE_CYCLES
         for rate in self._groups[self._next_group]:
-            newest = self._latest.get(rate.cob_id)
+            newest = self._latest.get(rate.key)
             if newest is None or newest.number == rate.number:
                 continue
             if rate.add(newest) and rate.node not in self.excessive:
                 self.missed_time = self.missed_time or self._common_excess()
                 self.excessive[rate.node] = (
-                    f"{rate.name} ({rate.cob_id:#05x}) comes more often than the robot file states;"
-                    f" {second_device(self._ids[rate.node])}"
+                    f"{rate.name} ({key_text(rate.key)}) comes more often than the robot file "
+                    f"states; {second_device(self._ids[rate.node])}"
                 )
 
     def _common_excess(self) -> float:
@@ -311,7 +322,7 @@ class FrameRates:
         """
         times: dict[str, float] = {}
         for rate in (rate for group in self._groups for rate in group):
-            newest = self._latest.get(rate.cob_id)
+            newest = self._latest.get(rate.key)
             if newest is not None:
                 excess = rate.excess_with(newest) / rate.per_second
                 times[rate.node] = max(times.get(rate.node, -math.inf), excess)

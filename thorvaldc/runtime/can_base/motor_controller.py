@@ -76,7 +76,7 @@ class MotorController(abc.ABC):
         for axis in self.axes:
             axis.limits = axis.limits.stricter(self.follow_limits)
         self.handlers: dict[int, Callable[[bytes, float], None]] = {}
-        """Handlers by COB-ID; called once in a cycle with data and time (s) of the newest frame."""
+        """Handlers by key of a frame; called once in a cycle with its newest data and time (s)."""
         self.error_code = 0
         """Error code of the last EMCY message; 0: no error."""
         self.disobeyed = False

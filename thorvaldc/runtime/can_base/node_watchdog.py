@@ -68,12 +68,12 @@ class Heartbeat(NamedTuple):
 class _Report(NamedTuple):
     """A PDO that a motor controller sends periodically.
 
-    - ``cob_id``: COB-ID of the PDO;
+    - ``key``: key of the PDO;
     - ``name``: name of the PDO, for example ``tpdo1``;
     - ``period``: period in s.
     """
 
-    cob_id: int
+    key: int
     name: str
     period: float
 
@@ -81,7 +81,7 @@ class _Report(NamedTuple):
 class NodeWatchdog:
     """Watchdog for the motor controllers of one CAN bus.
 
-    ``latest``: newest received CAN frame of each identifier.  Heartbeats and boot-up messages of
+    ``latest``: newest received CAN frame of each key.  Heartbeats and boot-up messages of
     the nodes are always evaluated.  Missing heartbeats and missing reports are detected only after
     ``start`` and before ``stop``.
     """
@@ -98,11 +98,11 @@ class NodeWatchdog:
         heartbeats = [
             f for f in bus.frames if f.kind == "heartbeat" and f.producer in self._controllers
         ]
-        self.heartbeat_frames = {frame.cob_id: frame for frame in heartbeats}
+        self.heartbeat_frames = {frame.key: frame for frame in heartbeats}
         self._heartbeat_of = {frame.producer: frame for frame in heartbeats}
         self._reports = {name: _reports(bus, name) for name in self._controllers}
         self.malformed_since: dict[int, float] = {}
-        """Time (s) of the first of the malformed frames in a row, by COB-ID.
+        """Time (s) of the first of the malformed frames in a row, by key.
 
         A malformed report counts as missing: its values are unknown."""
         self._heartbeats: dict[str, Heartbeat] = {}
@@ -134,7 +134,7 @@ class NodeWatchdog:
         self._late_cycles = self._late_cycles + 1 if late else 0
         self._last_cycle = now
 
-    def take_heartbeat(self, cob_id: int, data: bytes, time: float) -> None:
+    def take_heartbeat(self, key: int, data: bytes, time: float) -> None:
         """Stores a heartbeat of a node.
 
         After a boot-up message, the driver of the node is reset.  So it is after heartbeats were
@@ -144,7 +144,7 @@ class NodeWatchdog:
         """
         if not data:
             return
-        definition = self.heartbeat_frames[cob_id]
+        definition = self.heartbeat_frames[key]
         name, state = definition.producer, heartbeat_state(data)
         last = self._heartbeats.get(name)
         if last is not None and definition.period is not None:
@@ -215,7 +215,7 @@ class NodeWatchdog:
         """Returns ``True`` if each periodic report of the motor controller was received at least
         once, and the newest of each is not malformed."""
         return all(
-            r.cob_id in self._latest and r.cob_id not in self.malformed_since
+            r.key in self._latest and r.key not in self.malformed_since
             for r in self._reports[controller.node.name]
         )
 
@@ -252,8 +252,8 @@ class NodeWatchdog:
             if heartbeat.state != NmtState.OPERATIONAL and heartbeat.time > since:
                 return f"its NMT state is {nmt_state_text(heartbeat.state)}, not operational"
         for report in self._reports[name]:
-            frame = self._latest.get(report.cob_id)
-            malformed_since = self.malformed_since.get(report.cob_id, math.inf)
+            frame = self._latest.get(report.key)
+            malformed_since = self.malformed_since.get(report.key, math.inf)
             received_at = -math.inf if frame is None else min(frame.time, malformed_since)
             age = now - max(since, received_at)
             if age / report.period > REPORT_TIMEOUT:
@@ -271,7 +271,7 @@ def _heartbeat_limit(controller: MotorController, period: float) -> float:
 
 def _reports(bus: Bus, node: str) -> tuple[_Report, ...]:
     return tuple(
-        _Report(frame.cob_id, frame.name.removeprefix(f"{node}_"), frame.period)
+        _Report(frame.key, frame.name.removeprefix(f"{node}_"), frame.period)
         for frame in bus.frames
         if _is_report(frame, node) and frame.period is not None
     )

@@ -75,7 +75,7 @@ class RoboteqScriptController(MotorController):
             ("tpdo4", self._handle_constant),
         ):
             if name in self.codecs:
-                self.handlers[self.codecs[name].cob_id] = handler
+                self.handlers[self.codecs[name].key] = handler
         self.supply_voltage = math.nan
         self.temperature = math.nan
         self._motion_signals = tuple(self._signals_of_axes())
@@ -250,7 +250,7 @@ class RoboteqScriptController(MotorController):
                 # A joint that was turned by hand without power does not jump when power returns.
                 second.hold()
             codec, top_speed = self.codecs["rpdo4"], second.actuator.max_velocity
-            frames.append(CanFrame(codec.cob_id, codec.encode([top_speed, second.target])))
+            frames.append(codec.can_frame(codec.encode([top_speed, second.target])))
         return frames
 
     def _speed_frame(self, name: str, axis: Axis | None, follows: bool) -> CanFrame:
@@ -260,7 +260,7 @@ class RoboteqScriptController(MotorController):
             self._sequence if signal.name == "sequence" else target
             for signal in codec.frame.signals
         ]
-        return CanFrame(codec.cob_id, codec.encode(values))
+        return codec.can_frame(codec.encode(values))
 
     def occasional_frame(self, intent: Intent, now: float) -> CanFrame | None:
         """Returns a CAN frame with a new period of TPDO 4 or with the modes of the motor channels,
@@ -295,7 +295,7 @@ class RoboteqScriptController(MotorController):
         codec = self.codecs["rpdo3"]
         axes = (self._first, self._second)
         used = [mode for mode, axis in zip(modes, axes, strict=True) if axis is not None]
-        return CanFrame(codec.cob_id, codec.encode([float(mode) for mode in used]))
+        return codec.can_frame(codec.encode([float(mode) for mode in used]))
 
     def _required_modes(self, intent: Intent) -> tuple[int, int]:
         """Returns the modes of both channels; a motor that is not powered is decoupled."""
@@ -371,4 +371,4 @@ class RoboteqScriptController(MotorController):
         report = self.codecs.get(name.removesuffix("_cycle_time"))
         if report is not None and value >= 1.0:
             self._set_periods[report.frame.name] = value / 1000.0
-        return CanFrame(codec.cob_id, codec.encode([float(number), round(value)]))
+        return codec.can_frame(codec.encode([float(number), round(value)]))

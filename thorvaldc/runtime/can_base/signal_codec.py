@@ -7,7 +7,8 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from thorvaldc.model import FrameDefinition
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.model import FrameDefinition, Signal
 
 _FORMATS: Final = {
     (8, False): "B",
@@ -27,18 +28,18 @@ _FLOAT_FORMATS: Final = {32: "f", 64: "d"}
 class FrameCodec:
     """Encodes and decodes the signals of one CAN frame definition.
 
-    All CAN signals are little endian.  The physical value of a CAN signal is ``raw * scale +
-    offset``, where ``raw`` is the number in the data of the CAN frame.  Lists of signal values have
-    the order of ``frame.signals``.  The physical value of an integer CAN signal with scale 1 and
-    offset 0 is an integer.
+    The physical value of a CAN signal is ``raw * scale + offset``, where ``raw`` is the number in
+    the data of the CAN frame.  Lists of signal values have the order of ``frame.signals``.  The
+    physical value of an integer CAN signal with scale 1 and offset 0 is an integer.
 
-    A CAN frame whose signals start and end at byte boundaries is converted by one fast call of
-    ``struct``.  A CAN frame with other signals is converted with shifts and masks.
+    A CAN frame whose signals have one byte order, and start and end at byte boundaries, is
+    converted by one fast call of ``struct``.  A CAN frame with other signals is converted with
+    shifts and masks.
     """
 
     def __init__(self, frame: FrameDefinition) -> None:
         self.frame = frame
-        self.cob_id = frame.cob_id
+        self.key = frame.key
         self.length = frame.length
         self.names = tuple(signal.name for signal in frame.signals)
         self.indices = {name: i for i, name in enumerate(self.names)}
@@ -53,7 +54,12 @@ class FrameCodec:
         self._bounds = tuple((s.minimum, s.maximum) for s in frame.signals)
         self._struct, self._order = _compile_struct(frame)
         self._fields = tuple(
-            (s.start, (1 << s.length) - 1, 1 << s.length - 1 if s.signed else 0)
+            (
+                _shift(s, frame.length),
+                (1 << s.length) - 1,
+                1 << s.length - 1 if s.signed else 0,
+                s.big_endian,
+            )
             for s in frame.signals
         )
         self._floats = tuple(
@@ -78,10 +84,14 @@ class FrameCodec:
             raw = self._struct.unpack_from(data)
             values = list(raw) if self._order is None else [raw[i] for i in self._order]
         else:
-            bits = int.from_bytes(data[: self.length], "little")
+            little = int.from_bytes(data[: self.length], "little")
+            big = int.from_bytes(data[: self.length], "big")
             # The expression `(x ^ sign) - sign` extends the sign bit of a signed integer field.
             # For an unsigned integer field `sign` is 0.
-            values = [((bits >> start & mask) ^ sign) - sign for start, mask, sign in self._fields]
+            values = [
+                (((big if is_big else little) >> shift & mask) ^ sign) - sign
+                for shift, mask, sign, is_big in self._fields
+            ]
             for i, integer, float_format in self._floats:
                 (values[i],) = struct.unpack(float_format, struct.pack(integer, values[i]))
         for i, _, _ in self._floats:
@@ -160,12 +170,15 @@ class FrameCodec:
                     sorted_raw[position] = raw_value
                 raw = sorted_raw
             return self._struct.pack(*raw)
-        bits = 0
+        little = big = 0
         for i, integer, float_format in self._floats:
             (raw[i],) = struct.unpack(integer, struct.pack(float_format, raw[i]))
-        for raw_value, (start, mask, _) in zip(raw, self._fields, strict=True):
-            bits |= (int(raw_value) & mask) << start
-        return bits.to_bytes(self.length, "little")
+        for raw_value, (shift, mask, _, is_big) in zip(raw, self._fields, strict=True):
+            bits = (int(raw_value) & mask) << shift
+            little, big = (little, big | bits) if is_big else (little | bits, big)
+        return (little | int.from_bytes(big.to_bytes(self.length, "big"), "little")).to_bytes(
+            self.length, "little"
+        )
 
     def encode_named(self, values: Mapping[str, float]) -> bytes:
         """Returns the data of a CAN frame with the given signal values by name.
@@ -174,16 +187,31 @@ class FrameCodec:
         """
         return self.encode([values.get(s.name, s.offset) for s in self._signals])
 
+    def can_frame(self, data: bytes) -> CanFrame:
+        """Returns the CAN frame with this definition and ``data``, ready to be sent."""
+        return CanFrame(self.frame.cob_id, data, self.frame.extended)
+
+
+def _shift(signal: Signal, length: int) -> int:
+    """Returns the place of the least significant bit of a signal in the data of a CAN frame.
+
+    The data of ``length`` bytes is read as one number, with the byte order of the signal.
+    """
+    first = signal.first_bit
+    return 8 * length - first - signal.length if signal.big_endian else first
+
 
 def _compile_struct(frame: FrameDefinition) -> tuple[struct.Struct | None, tuple[int, ...] | None]:
     """Returns a ``struct.Struct`` for the data of a CAN frame, and the position of each signal in
     the ``struct.Struct``.
 
-    The ``struct.Struct`` is ``None`` if a signal does not start and end at byte boundaries.  The
-    positions are ``None`` if the ``struct.Struct`` has the same order as the signals.
+    The ``struct.Struct`` is ``None`` if a signal does not start and end at byte boundaries, or if
+    the signals have both byte orders.  The positions are ``None`` if the ``struct.Struct`` has the
+    same order as the signals.
     """
-    by_start = sorted(range(len(frame.signals)), key=lambda i: frame.signals[i].start)
-    text, end = "<", 0
+    by_start = sorted(range(len(frame.signals)), key=lambda i: frame.signals[i].first_bit)
+    orders = {signal.big_endian for signal in frame.signals}
+    text, end = ">" if True in orders else "<", 0
     for i in by_start:
         signal = frame.signals[i]
         letter = (
@@ -191,10 +219,11 @@ def _compile_struct(frame: FrameDefinition) -> tuple[struct.Struct | None, tuple
             if signal.floating_point
             else _FORMATS.get((signal.length, signal.signed))
         )
-        if letter is None or signal.start % 8 or signal.start < 8 * end:
+        first = signal.first_bit
+        if letter is None or first % 8 or first < 8 * end or len(orders) > 1:
             return None, None
-        text += "x" * (signal.start // 8 - end) + letter
-        end = signal.start // 8 + signal.length // 8
+        text += "x" * (first // 8 - end) + letter
+        end = first // 8 + signal.length // 8
     if end > frame.length:
         return None, None
     text += "x" * (frame.length - end)

@@ -142,14 +142,14 @@ class IoBoard(SimulatedDevice):
 class ForeignFrame(NamedTuple):
     """A CAN frame that a device of another maker sends.
 
-    * ``cob_id``: identifier of the frame.
+    * ``key``: key of the frame, see ``EXTENDED`` in the module ``model.bus``.
     * ``length``: number of data bytes.
     * ``period``: period of the frame (s), or ``None`` for a frame that answers a command.
     * ``data``: data of the frame.  If ``data`` is ``None``, the first data byte of the CAN frame is
       a frame counter.
     """
 
-    cob_id: int
+    key: int
     length: int
     period: float | None
     data: bytes | None = None
@@ -165,10 +165,10 @@ class ForeignDevice(SimulatedDevice):
     def __init__(self, specification: DeviceSpecification) -> None:
         super().__init__(specification)
         data_frames = ("pdo", "broadcast", "relay")
-        self._receives = [f.cob_id for f in specification.received if f.kind in data_frames]
+        self._receives = [f.key for f in specification.received if f.kind in data_frames]
         self._sends = [
             ForeignFrame(
-                frame.cob_id,
+                frame.key,
                 frame.length,
                 frame.period,
                 bytes([NmtState.OPERATIONAL]) if frame.kind == "heartbeat" else None,
@@ -180,8 +180,8 @@ class ForeignDevice(SimulatedDevice):
         self.commands: list[CanFrame] = []
 
     def start(self) -> None:
-        for cob_id in self._receives:
-            self.handlers[cob_id] = self._receive
+        for key in self._receives:
+            self.handlers[key] = self._receive
         for frame in self._sends:
             if frame.period is not None:
                 self._send_periodically(frame, frame.period)
@@ -202,4 +202,4 @@ class ForeignDevice(SimulatedDevice):
         if data is None:
             self._count = (self._count + 1) % 256
             data = bytes([self._count]).ljust(frame.length, b"\0")[: frame.length]
-        self.send(frame.cob_id, data)
+        self.send(frame.key, data)

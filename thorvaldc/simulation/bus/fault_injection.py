@@ -193,7 +193,7 @@ class FaultInjector:
         def accepts(controller: CanController, frame: CanFrame) -> bool:
             if device is not None and controller is not device.controller:
                 return True
-            if fault.cob_id is not None and frame.id != fault.cob_id:
+            if fault.cob_id is not None and not _is_meant(fault, frame):
                 return True
             if self._random.random() >= fault.share:
                 return True
@@ -211,34 +211,30 @@ class FaultInjector:
         """Sends CAN frames from an additional CAN controller on the CAN bus."""
         wire = self.simulated.wires[fault.bus]
         sender = CanController(wire, "foreign_sender", wire.bitrate)
-        cob_id = fault.cob_id or 0
-        length = self._frame_length(fault.bus, cob_id)
+        length = self._frame_length(fault.bus, _frame(fault, b"").key)
         wire.attach(sender)
         sender.switch_on()
 
         def send() -> None:
             if sender.powered:
                 data = self._random.randbytes(length) if fault.data is None else fault.data
-                if fault.format == "remote":
-                    sender.send(CanFrame(cob_id, remote=True, requested=len(data)))
-                else:
-                    sender.send(CanFrame(cob_id, data, fault.format == "extended"))
+                sender.send(_frame(fault, data))
                 if fault.period > 0.0:
                     self.simulated.timeline.after(to_ns(fault.period), send)
 
         send()
         return lambda: wire.detach(sender)
 
-    def _frame_length(self, bus_name: str, cob_id: int) -> int:
-        """Returns the number of data bytes of the CAN frames with the COB-ID ``cob_id``."""
+    def _frame_length(self, bus_name: str, key: int) -> int:
+        """Returns the number of data bytes of the CAN frames with the key ``key``."""
         for bus in self.simulated.robot.buses:
             for frame in bus.frames:
-                if bus.name == bus_name and frame.cob_id == cob_id:
+                if bus.name == bus_name and frame.key == key:
                     return frame.length
         return 8
 
     def _babble(self, fault: BusFault, device: SimulatedDevice) -> Removal:
-        frame = CanFrame(fault.cob_id or 0, bytes(8))
+        frame = _frame(fault, bytes(8))
         babbling = True
 
         def repeat() -> None:
@@ -252,6 +248,19 @@ class FaultInjector:
 
         repeat()
         return stop
+
+
+def _frame(fault: BusFault, data: bytes) -> CanFrame:
+    """Returns a CAN frame with the identifier and the format of an injected fault."""
+    if fault.format == "remote":
+        return CanFrame(fault.cob_id or 0, remote=True, requested=len(data))
+    return CanFrame(fault.cob_id or 0, data, fault.format == "extended")
+
+
+def _is_meant(fault: BusFault, frame: CanFrame) -> bool:
+    """Returns whether an injected fault with a ``cob_id`` affects a CAN frame."""
+    form = _frame(fault, b"")
+    return frame.key == form.key and frame.remote >= form.remote
 
 
 def _set(target: object, name: str, value: object = True, end: object = False) -> Removal:

@@ -12,7 +12,7 @@ from thorvaldc.can import lss
 from thorvaldc.can.canopen import HEARTBEAT
 from thorvaldc.can.frame import NANOSECONDS, CanFrame, to_ns
 from thorvaldc.model import Actuator, Bus, Channel, FrameDefinition, Node, Robot
-from thorvaldc.model.bus import MASTER
+from thorvaldc.model.bus import EXTENDED, MASTER
 from thorvaldc.model.scenario import Quirk
 from thorvaldc.simulation.bus.object_dictionary import parameter_name
 from thorvaldc.simulation.bus.simulated_motors import Encoder, IdealMotor, MotorModel
@@ -31,8 +31,8 @@ class SimulatedDevice:
     """A simulated device on a CAN bus.
 
     A subclass implements the method ``start``, which adds frame handlers and starts timers.
-    ``handlers`` has a function for each 11-bit CAN identifier that the device receives, and
-    ``remote_handlers`` one for each identifier of a remote frame.  The device calls the frame
+    ``handlers`` has a function for each key (``CanFrame.key``) that the device receives, and
+    ``remote_handlers`` one for each key of a remote frame.  The device calls the frame
     handlers with a short random delay, in the order of the received frames.
     The seed and the name of the specification determine the random delays of the device.
 
@@ -201,24 +201,24 @@ class SimulatedDevice:
 
     # -- frames -----------------------------------------------------------------------------
 
-    def send(self, identifier: int, data: bytes) -> None:
-        """Sends a CAN frame.
+    def send(self, key: int, data: bytes) -> None:
+        """Sends the CAN frame with a key, which is the identifier of a standard frame.
 
         The CAN frame is dropped if the device is muted, if the send queue is full, or if the CAN
         controller is in bus-off.
         """
         if not self.muted:
-            self.controller.send(CanFrame(identifier, data))
+            self.controller.send(CanFrame(key & ~EXTENDED, data, key >= EXTENDED))
 
     def _schedule_handler(self, frame: CanFrame) -> None:
-        if frame.extended or frame.id not in self._handlers_of(frame):
+        if frame.key not in self._handlers_of(frame):
             return
         life = self._life
         delay = LATENCY * (1.0 + self.random.random() / 2.0)
         self._handled_until = max(self.timeline.now + to_ns(delay), self._handled_until)
 
         def handle() -> None:
-            handler = self._handlers_of(frame).get(frame.id)
+            handler = self._handlers_of(frame).get(frame.key)
             if handler is not None and self._life == life:
                 handler(frame)
 
@@ -294,13 +294,12 @@ class DeviceSpecification:
             if frame.producer == MASTER and frame.consumers == (self.node.name,)
         ]
 
-    def period(self, cob_id: int, default: float) -> float:
-        """Returns the period (s) of the CAN frame with the identifier ``cob_id`` that the node
-        sends.
+    def period(self, key: int, default: float) -> float:
+        """Returns the period (s) of the CAN frame with the key ``key`` that the node sends.
 
         Returns ``default`` if the node does not send the CAN frame periodically.
         """
-        periods = (frame.period for frame in self.sent if frame.cob_id == cob_id)
+        periods = (frame.period for frame in self.sent if frame.key == key)
         return next((period for period in periods if period is not None), default)
 
     @property

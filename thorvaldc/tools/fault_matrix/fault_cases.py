@@ -210,10 +210,16 @@ class _Target(PromisedTimes):
         bus = self.bus.name
 
         def inject(rehearsal: Rehearsal) -> None:
-            data = rehearsal.other_frames.get((bus, frame.cob_id), bytes(frame.length))
-            rehearsal.inject("forged_frames", bus, cob_id=frame.cob_id, data=data, period=period)
+            data = rehearsal.other_frames.get((bus, frame.key), bytes(frame.length))
+            values = {**_address(frame), "data": data, "period": period}
+            rehearsal.inject("forged_frames", bus, **values)
 
         return inject
+
+
+def _address(frame: FrameDefinition) -> dict[str, Any]:
+    """Returns the identifier and the format of a frame, as an injected fault has them."""
+    return {"cob_id": frame.cob_id, "format": scenario.FRAME_FORMATS[frame.extended]}
 
 
 def _device_cases(target: _Target) -> Iterator[FaultCase]:
@@ -389,14 +395,14 @@ def _forgery_cases(target: _Target) -> Iterator[FaultCase]:
     if target.command is not None:
         other = target.repeated(target.command, target.command.period or cycle)
         yield case("another master sends commands to a drive", other, target.silence)
-        for form in scenario.FRAME_FORMATS[1:]:
+        for form in scenario.FRAME_FORMATS[1:] if not target.command.extended else ():
             frames = target.forged(target.command.cob_id, bytes(8), cycle, form)
             yield case(f"{form} frames with the id of a command", frames, None)
     if target.report is not None:
         old = target.repeated(target.report, target.report.period or cycle)
         yield case("false reports of a drive: of another time", old, SECOND_DEVICE)
-        cob_id, period = target.report.cob_id, target.report.period
-        jumping = target.on_node(None, "forged_frames", cob_id=cob_id, period=period)
+        values = {**_address(target.report), "period": target.report.period}
+        jumping = target.on_node(None, "forged_frames", **values)
         yield case("false reports of a drive: random", jumping, SECOND_DEVICE)
 
 
@@ -405,12 +411,12 @@ def _wrong_data_cases(target: _Target) -> Iterator[FaultCase]:
     case, device, node = target.case, target.device, target.node.name
     wheel, steering = target.channel("propulsion"), target.channel("steering")
     if target.command is not None:
-        command = target.command.cob_id
+        command = _address(target.command)
         for latency in (0.08, 0.2):
-            late = device("late_frames", cob_id=command, share=1.0, latency=latency)
+            late = device("late_frames", **command, share=1.0, latency=latency)
             name = f"commands of a drive arrive {latency:g} s late"
             yield case(name, late, None, by_ramp=True, braking=latency + target.cycle)
-        lost = device("lost_frames", cob_id=command, share=0.4)
+        lost = device("lost_frames", **command, share=0.4)
         yield case(
             "two in five commands of a drive are lost", lost, None, by_ramp=True, braking=0.1
         )

@@ -162,7 +162,7 @@ class Rehearsal:
 
     def _recorder(self, bus: str) -> Callable[[int, CanFrame, object], None]:
         def record(time: int, frame: CanFrame, senders: object) -> None:
-            self.frames[bus, frame.id] = frame.data
+            self.frames[bus, frame.key] = frame.data
 
         return record
 

@@ -110,7 +110,7 @@ class BusMonitor:
     def __init__(self, robot: Robot, bus: Bus) -> None:
         self.robot = robot
         self.bus = bus
-        self._frames = {frame.cob_id: _FrameRecord(FrameCodec(frame)) for frame in bus.frames}
+        self._frames = {frame.key: _FrameRecord(FrameCodec(frame)) for frame in bus.frames}
         self._unknown: dict[tuple[int, bool], _FrameRecord] = {}
         self._emergencies: deque[dict[str, Any]] = deque(maxlen=MOST_EMERGENCIES)
         self._recent: deque[tuple[float, int]] = deque()
@@ -131,7 +131,7 @@ class BusMonitor:
         self._begin(time)
         self.total += 1
         self._count_bits(time, frame)
-        record = None if frame.extended or frame.remote else self._frames.get(frame.id)
+        record = None if frame.remote else self._frames.get(frame.key)
         if record is None:
             key = (frame.id, frame.extended)
             record = self._unknown.get(key)
@@ -174,7 +174,7 @@ class BusMonitor:
             "frames": [
                 self._frame(frame, now)
                 for frame in self.bus.frames
-                if frame.period is not None or self._frames[frame.cob_id].count
+                if frame.period is not None or self._frames[frame.key].count
             ],
             "emergencies": list(self._emergencies),
             "unknown": [
@@ -255,7 +255,7 @@ class BusMonitor:
         )
 
     def _node(self, node: Node, now: float) -> dict[str, Any]:
-        records = [self._frames[f.cob_id] for f in self.bus.frames if f.producer == node.name]
+        records = [self._frames[f.key] for f in self.bus.frames if f.producer == node.name]
         heartbeats = [r for r in records if r.codec and r.codec.frame.kind == "heartbeat"]
         last_time = max((r.time for r in records), default=-math.inf)
         summary: dict[str, Any] = {
@@ -276,10 +276,11 @@ class BusMonitor:
         return summary
 
     def _frame(self, frame: FrameDefinition, now: float) -> dict[str, Any]:
-        record = self._frames[frame.cob_id]
+        record = self._frames[frame.key]
         values = record.named_values()
         return {
             "id": frame.cob_id,
+            "extended": frame.extended,
             "name": frame.name,
             "producer": frame.producer,
             "count": record.count,

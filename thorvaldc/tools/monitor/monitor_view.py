@@ -132,7 +132,7 @@ def _unknown(frames: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _frame(frame: Mapping[str, Any]) -> tuple[str, ...]:
     return (
-        f"{frame['id']:x}",
+        f"{frame['id']:08x}" if frame["extended"] else f"{frame['id']:x}",
         frame["name"],
         _time(frame["period"]),
         _time(frame["age"]),

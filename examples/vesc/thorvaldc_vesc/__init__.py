@@ -1,0 +1,1 @@
+"""VESC motor controllers (CAN mode VESC) for thorvaldc: driver and simulated device."""
