@@ -167,6 +167,8 @@ def test_the_editor_proposes_keys_and_types(visit: Visit) -> None:
     page.keyboard.type("para")
     page.wait_for_selector(".cm-tooltip-autocomplete", timeout=WAIT)
     assert "parameter_sets" in page.inner_text(".cm-tooltip-autocomplete")
+    page.wait_for_selector(".cm-completionInfo b", timeout=WAIT)
+    assert "`" not in page.inner_text(".cm-completionInfo")
     page.keyboard.press("Escape")
     for _ in "para":
         page.keyboard.press("Backspace")
@@ -179,6 +181,18 @@ def test_the_editor_proposes_keys_and_types(visit: Visit) -> None:
     page.wait_for_selector(".cm-tooltip-autocomplete", timeout=WAIT)
     page.get_by_text("caster/swivel", exact=False).first.click()
     assert "type: caster/swivel" in page.evaluate("editor.text")
+
+
+def test_a_line_below_a_key_and_a_wrapped_row_are_indented(visit: Visit) -> None:
+    page = visit()
+    page.click(".cm-content")
+    page.keyboard.press("Control+End")
+    page.keyboard.type("\nfirst:\nsecond:\nthird: 1\nfourth: 2")
+    assert page.evaluate("editor.text").endswith("\nfirst:\n  second:\n    third: 1\n    fourth: 2")
+    indents = page.eval_on_selector_all(
+        ".cm-line", "all => all.map((line) => parseFloat(getComputedStyle(line).textIndent))"
+    )
+    assert min(indents) < max(indents) < 0.0
 
 
 def test_driving_while_another_part_is_typed(visit: Visit) -> None:

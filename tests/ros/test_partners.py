@@ -20,6 +20,7 @@ from tests.ros.environments import DISTROS, each_distro
 from tests.ros.test_node import run_client
 from thorvaldc.backends.ros2 import package_of
 from thorvaldc.model import TwistInput
+from thorvaldc.model.settings import NAME_PREFIX
 
 SCRIPTS = Path(__file__).parent / "partners"
 ANY_FIRST = TwistInput("direct", "direct/cmd_vel", 60, 0.5, "any")
@@ -45,8 +46,10 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
         robot = variant("4wd4ws_wide", distro=distro)
         robot = dataclasses.replace(robot, twist_sources=(*robot.twist_sources, ANY_FIRST))
         locked = dataclasses.replace(robot, twist_locks=(*robot.twist_locks, GATE))
-        write(folder / distro / "plain", package_of(robot))
-        write(folder / distro / "gate", package_of(locked))
+        for name, each in (("plain", robot), ("gate", locked)):
+            # The launch files put the names in.
+            files = {p: d.replace(NAME_PREFIX.encode(), b"") for p, d in package_of(each).items()}
+            write(folder / distro / name, files)
     return folder
 
 
