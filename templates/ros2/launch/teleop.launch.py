@@ -23,6 +23,7 @@ NAMESPACE = LaunchConfiguration("namespace")
 
 def generate_launch_description():
     """Return what this file starts."""
+
     def argument(name, value_type):
         return ParameterValue(LaunchConfiguration(name), value_type=value_type)
 

@@ -34,7 +34,7 @@ def two_wheels() -> RoboteqScriptController:
 
 
 def report(driver: RoboteqScriptController, name: str, data: bytes, time: float) -> None:
-    driver.handlers[driver.codecs[name].cob_id](data, time)
+    driver.handlers[driver.codecs[name].key](data, time)
 
 
 def state(*flags: int, temperature: int = 30, voltage: int = 480) -> bytes:
@@ -55,7 +55,7 @@ def modes(driver: RoboteqScriptController, intent: Intent, now: float) -> tuple[
     """Returns the modes that the driver sends, without the setting of the period of TPDO 4."""
     for _ in range(2):
         frame = driver.occasional_frame(intent, now)
-        if frame is None or frame.id == driver.codecs["rpdo3"].cob_id:
+        if frame is None or frame.id == driver.codecs["rpdo3"].key:
             break
     if frame is None:
         return None

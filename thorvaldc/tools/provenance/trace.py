@@ -18,7 +18,8 @@ from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import number_origins
 from thorvaldc.tools.provenance import traced_number as tn
 
-_MARK = re.compile(rf"(?:{tn.MARK}|\\u007f)(\d+)(?:{tn.MARK}|\\u007f)")  # JSON escapes it in texts
+_ANY_MARK = rf"(?:{tn.MARK}|\\{{1,2}}u007f)"  # JSON escapes it in texts, and launch its backslash
+_MARK = re.compile(rf"{_ANY_MARK}(\d+){_ANY_MARK}")
 _QUOTED_NUMBER = re.compile(f'"({tn.MARK}[^"]*)"')
 
 

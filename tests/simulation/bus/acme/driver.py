@@ -1,6 +1,5 @@
 """The driver of a servo controller by Acme."""
 
-from thorvaldc.can.frame import CanFrame
 from thorvaldc.runtime.can_base.motor_controller import Intent, MotorController
 
 
@@ -10,7 +9,7 @@ class AcmeServoController(MotorController):
     def __init__(self, robot, bus, node):
         super().__init__(robot, bus, node)
         self.enabled = False
-        self.handlers[self.codecs["report"].cob_id] = self.handle_report
+        self.handlers[self.codecs["report"].key] = self.handle_report
 
     def handle_report(self, data, time):
         enabled, *velocities = self.codecs["report"].decode(data)
@@ -22,7 +21,7 @@ class AcmeServoController(MotorController):
         enable = intent in (Intent.FOLLOW, Intent.QUICK_STOP)
         speeds = [axis.target if intent is Intent.FOLLOW else 0.0 for axis in self.axes]
         command = self.codecs["command"]
-        return [CanFrame(command.cob_id, command.encode([enable, *speeds]))]
+        return [command.can_frame(command.encode([enable, *speeds]))]
 
     @property
     def follows(self):
