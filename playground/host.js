@@ -10,6 +10,7 @@ const TARGETS = ["urdf", "mjcf", "sdf", "ros2", "can", "datasheet"];
 let worker = null, limit = null, describing = null, saving = null, requests = 0;
 let isReady = false, isCompiling = false, isBehind = false; // the worker has other files than the page
 let longest = 0, begun = 0; // ms: the longest compilation of this worker, and when the last one began
+let isShown = false; // a robot was on the screen
 let hasEnded = false; // the note on the screen is about a worker that ended
 const changed = new Set(); // files with a text that is not compiled
 let isOther = false; // the next model is another robot, not a changed one
@@ -113,7 +114,10 @@ function compiled(message) {
   isCompiling = false;
   longest = Math.max(longest, wallClock() - begun);
   if (hasEnded && !isBehind) note("");
-  if (message.good) navigator.serviceWorker?.register("sw.js"); // keeps the page for a time without a network
+  if (message.good && !isShown) {
+    isShown = true; // the page itself comes first; then its files are kept for a time without a network
+    setTimeout(() => navigator.serviceWorker?.register("sw.js"), 3000);
+  }
   if (message.good && !changed.size && !isBehind) good = { files: new Map(files), main };
   last = message.diagnostics;
   if (!changed.size) mark();
