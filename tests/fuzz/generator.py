@@ -226,15 +226,9 @@ def _documents() -> list[Kind]:
         }
         robot = PART.replace("TYPE", name).encode()
         modules.append((f"lib/{name}/module.yaml", {"robot.yaml": robot, **beside}))
-    robot = (
-        PART.replace("TYPE", "my/device").replace(", mount: {parent: frame}", ", can: 5").encode()
-    )
-    modules.append(
-        (
-            "lib/my/device/module.yaml",
-            {"robot.yaml": robot, "lib/my/device/module.yaml": DEVICE.encode()},
-        )
-    )
+    name = "lib/my/device/module.yaml"
+    robot = PART.replace("TYPE", "my/device").replace(", mount: {parent: frame}", ", can: 5")
+    modules.append((name, {"robot.yaml": robot.encode(), name: DEVICE.encode()}))
     fleet_files = {**good, "fleet.yaml": FLEET.encode()}
     scenarios = [("scenario.yaml", {**good, "scenario.yaml": SCENARIO.encode()})]
     for path in sorted((EXAMPLES / "scenarios").glob("*.yaml")):

@@ -9,8 +9,9 @@ import rclpy
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 
+from thorvaldc.ros.guarded_node import GuardedLifecycleNode
 from thorvaldc.ros.joint_guard import JointGuard
-from thorvaldc.ros.lifecycle_node import BaseDriverNode, GuardedLifecycleNode
+from thorvaldc.ros.lifecycle_node import BaseDriverNode
 
 
 def names(kind: type) -> set[str]:

@@ -32,7 +32,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
 from tests.ros.partners.nav2 import OWN_PARAMETERS, SMOOTHED, Nav2
-from thorvaldc.ros import lifecycle_node
+from thorvaldc.ros import guarded_node, lifecycle_node
 from thorvaldc.ros.lifecycle_node import BaseDriverNode
 
 TIMEOUT = 120.0  # s, real time
@@ -146,9 +146,8 @@ class PartnersRig:
         self.kind: Any = TwistStamped if stamped != script.get("other_type", False) else Twist
         self.clock = clock_of(script)
         self.at = -BEFORE
-        lifecycle_node.time = SimpleNamespace(  # type: ignore[assignment]
-            monotonic=lambda: self.at + 1000.0, time=lambda: 0.0
-        )
+        times = SimpleNamespace(monotonic=lambda: self.at + 1000.0, time=lambda: 0.0)
+        lifecycle_node.time = guarded_node.time = times  # type: ignore[assignment]
         config = folder / ("gate" if script.get("lock") == "gate" else "plain") / "config"
         rclpy.init(args=["--ros-args", "--params-file", str(config / "base_driver.yaml")])
         values: dict[str, Any] = {"model_file": str(config / "model.json"), "base": "ideal"}

@@ -35,6 +35,7 @@ from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation import document_check
 from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import (
+    FIRST_USE,
     Accepted,
     Code,
     Diagnostic,
@@ -55,7 +56,7 @@ if TYPE_CHECKING:
     from thorvaldc.model import Fleet
     from thorvaldc.model.scenario import Scenario
 
-SECTION, FIRST_USE = "accept", "first used here"
+SECTION = "accept"
 _LATER = "68"
 """First digits of codes that commands after the compilation report: backends and simulation."""
 _SHORT = ("modules", "robots")

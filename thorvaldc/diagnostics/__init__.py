@@ -2,6 +2,7 @@
 
 from thorvaldc.diagnostics.codes import CODES, Code
 from thorvaldc.diagnostics.report import (
+    FIRST_USE,
     Accepted,
     Diagnostic,
     DiagnosticError,
@@ -20,6 +21,7 @@ from thorvaldc.diagnostics.report import (
 
 __all__ = [
     "CODES",
+    "FIRST_USE",
     "Accepted",
     "Code",
     "Diagnostic",

@@ -49,8 +49,12 @@ class Span(NamedTuple):
         return f"{self.file}:{self.line}:{self.column}"
 
 
+FIRST_USE = "first used here"
+"""Text of a label: a name, an id or bits that two entries have, at the other entry."""
+
+
 class Label(NamedTuple):
-    """An additional source span of a diagnostic, with a text such as ``first used here``."""
+    """An additional source span of a diagnostic, with a text such as ``FIRST_USE``."""
 
     span: Span
     text: str

@@ -112,12 +112,14 @@ def _run_ready(executor: Any, longest: float) -> None:
     def has_run() -> bool:
         return ran
 
-    with contextlib.suppress(ConditionReachedException, ShutdownException, TimeoutException):
-        while True:
+    while True:
+        try:
             handler, _, _ = executor.wait_for_ready_callbacks(longest, None, has_run)
-            ran = True
-            handler()
-            handler.result()  # raises its error
+        except (ConditionReachedException, ShutdownException, TimeoutException):
+            return
+        ran = True
+        handler()
+        handler.result()  # raises its error
 
 
 def _end(node: Any, executor: Any) -> None:

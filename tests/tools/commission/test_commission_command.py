@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,11 +15,7 @@ import pytest
 from tests.cli.conftest import Command, run_in_this_process
 from tests.slow import mostly_slow, one_quick_of
 from thorvaldc.commissioning import commission_page
-from thorvaldc.commissioning.commission_report import (
-    CommissionReport,
-    driven_joints,
-    motor_key,
-)
+from thorvaldc.commissioning.commission_report import CommissionReport, driven_joints, motor_key
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Robot
@@ -114,21 +111,18 @@ def test_the_report_of_a_unit_does_not_count_for_another_of_its_design(
     thorvaldc: Command, folder: Path
 ) -> None:
     for name in ("first", "second"):
-        text = f"thorvaldc: 1\nextends: robot.yaml\nname: {name}\n"
-        (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
+        (folder / f"{name}.yaml").write_text(f"thorvaldc: 1\nextends: robot.yaml\nname: {name}\n")
     first, second = str(folder / "first.yaml"), str(folder / "second.yaml")
     options = ("--bus", "virtual", "--fast", "--duration", "1s", "--commissioned")
     assert thorvaldc("can", "commission", first, "--bus", "virtual").status == 0
     assert thorvaldc("run", first, *options).status == 0
     assert thorvaldc("run", second, *options).status == 1
-    report = (folder / "first.commission.json").read_text(encoding="utf-8")
-    (folder / "second.commission.json").write_text(report, encoding="utf-8")
+    shutil.copy(folder / "first.commission.json", folder / "second.commission.json")
     refused = thorvaldc("run", second, *options)
     assert refused.status == 1
     assert "left_drive_propulsion was checked at the robot first" in refused.err
     # Without a name of its own, no unit can claim the report of its design or of another unit.
-    text = "thorvaldc: 1\nextends: robot.yaml\n"
-    (folder / "second.yaml").write_text(text, encoding="utf-8")
+    (folder / "second.yaml").write_text("thorvaldc: 1\nextends: robot.yaml\n")
     unnamed = thorvaldc("run", second, *options)
     assert unnamed.status == 1
     assert "the robot document has no `name`" in unnamed.err
@@ -597,8 +591,9 @@ def test_a_report_of_a_killed_program_says_that_it_was_interrupted(
         written.append(json.loads(path.read_text(encoding="utf-8")))
 
     monkeypatch.setattr(commission_page, "write_report", record)
-    robot = str(folder / "robot.yaml")
-    assert thorvaldc("can", "commission", robot, "--bus", "virtual").status == 0
+    assert (
+        thorvaldc("can", "commission", str(folder / "robot.yaml"), "--bus", "virtual").status == 0
+    )
     *before_the_end, last = written
     assert len(before_the_end) >= 3
     for report in before_the_end:

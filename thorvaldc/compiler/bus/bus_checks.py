@@ -15,7 +15,7 @@ from thorvaldc.can.canopen import LSS_REQUEST, LSS_RESPONSE, TIME_STAMP
 from thorvaldc.compiler.bus import device_sections as sections
 from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
 from thorvaldc.compiler.values.value_reader import entries
-from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
+from thorvaldc.diagnostics import FIRST_USE, Label, Report, Span, did_you_mean
 from thorvaldc.model import Actuator, Bus, FrameDefinition, Robot
 from thorvaldc.model.bus import MASTER, key_text
 from thorvaldc.model.bus_identity import are_alike
@@ -223,7 +223,7 @@ def check_ids(bus: Bus, placed: Sequence[sections.Placed], report: Report) -> di
             f"`{device.path}` and `{other.path}` both have the id "
             f"{device.node.id} on the bus `{bus.name}`",
             device.span,
-            labels=[Label(other.span, "first used here")],
+            labels=[Label(other.span, FIRST_USE)],
             hint="give each device its own id, or leave `can` out for an automatic id",
         )
     return duplicates
@@ -266,7 +266,7 @@ def check_serials(placed: Sequence[sections.Placed], report: Report) -> None:
                 "can-serial-duplicate",
                 f"`{device.path}` and `{other.path}` both have the serial number {serial}",
                 device.serial_span,
-                labels=[Label(other.serial_span, "first used here")],
+                labels=[Label(other.serial_span, FIRST_USE)],
                 hint="read each device's own serial number from its label",
             )
 
@@ -320,7 +320,7 @@ def check_cob_ids(
     for pairs in conflicts.values():
         other, claim = pairs[0]
         named = ", ".join(f"{key_text(c.key)} ({o.what}, {c.what})" for o, c in pairs)
-        labels = [Label(other.span, "first used here")] if other.device is not None else []
+        labels = [Label(other.span, FIRST_USE)] if other.device is not None else []
         who = f"`{claim.owner}`"
         if claim.owner == other.owner:
             message = f"two frames of {who} have one COB-ID on the bus `{bus.name}`: {named}"
@@ -437,7 +437,7 @@ def check_wiring(
                     f"the motor `{motor.name}` is on two channels, `{first.channel}` of "
                     f"`{other.path}` and `{wire.channel}` of `{device.path}`",
                     wire.span,
-                    labels=[Label(first.span, "first used here")],
+                    labels=[Label(first.span, FIRST_USE)],
                     hint="give each motor one channel",
                 )
                 continue

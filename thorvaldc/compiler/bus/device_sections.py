@@ -14,7 +14,7 @@ from thorvaldc.can.canopen import SYNC
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source import node as source
 from thorvaldc.compiler.values.value_reader import entries
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics import FIRST_USE, Label, Report, Span
 from thorvaldc.model import Actuator, FrameDefinition, Node, ObjectValue
 from thorvaldc.model.bus import MASTER, OBJECT_TYPES
 from thorvaldc.model.number_origins import read_at
@@ -265,7 +265,7 @@ def _derived(
                 "can-pdo-mapping",
                 f"two PDOs of one direction have the number {frame.pdo}",
                 frame.span,
-                labels=[Label(other.span, "first used here")],
+                labels=[Label(other.span, FIRST_USE)],
             )
 
 

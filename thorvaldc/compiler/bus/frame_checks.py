@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from thorvaldc.compiler.bus.device_sections import Device, Wire, listed
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import entries
-from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
+from thorvaldc.diagnostics import FIRST_USE, Label, Report, Span, did_you_mean
 from thorvaldc.model import Signal
 
 ROUNDING = 1e-9
@@ -192,7 +192,7 @@ def _bits_are_apart(signals: Sequence[Signal], span_of: dict[str, Span], report:
             f"the signals `{first.name}` ({_bits_text(first)}) and `{signal.name}` "
             f"({_bits_text(signal)}) share bits",
             span_of[signal.name],
-            labels=[Label(span_of[first.name], "first used here")],
+            labels=[Label(span_of[first.name], FIRST_USE)],
         )
     return fits
 

@@ -14,7 +14,7 @@ from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source.node import Node, insertion
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import ValueReader, entries
-from thorvaldc.diagnostics import Label, Proposal, Report, Span
+from thorvaldc.diagnostics import FIRST_USE, Label, Proposal, Report, Span
 from thorvaldc.model import Battery, CalculatorChoice, Robot
 from thorvaldc.model import settings as ros
 from thorvaldc.model.robot import PARALLEL, SEPARATE
@@ -243,7 +243,7 @@ def _check_topics(robot: Robot, document: Node, report: Report) -> None:
             if topic in ros.RESERVED_TOPICS:
                 use, labels = ros.RESERVED_TOPICS[topic], []
             elif owner[0] != twist_input.name:
-                use, labels = f"that of `{owner[0]}`", [Label(owner[1].where, "first used here")]
+                use, labels = f"that of `{owner[0]}`", [Label(owner[1].where, FIRST_USE)]
             else:
                 continue
             report.add(

@@ -16,7 +16,7 @@ from thorvaldc.compiler.source.input_file import DOCUMENTS, report_missing
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.compiler.values.value_reader import ValueReader
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics import FIRST_USE, Label, Report, Span
 from thorvaldc.model import Fleet, Placement, Pose, Robot
 from thorvaldc.model.settings import package_name
 from thorvaldc.model.statics.occupied_space import footprint
@@ -153,7 +153,7 @@ class Placements:
                     f"two robots have the name `{name}`",
                     node.where,
                     hint="rename one of the entries",
-                    labels=[Label(first_span, "first used here")],
+                    labels=[Label(first_span, FIRST_USE)],
                 )
                 return
             placement = Placement(name, pose, self._member(name, robot, node))
@@ -171,7 +171,7 @@ class Placements:
                 f"the ROS 2 packages of `{first_name}` and `{name}` have the name `{package}`",
                 node.where,
                 hint="rename one of the robots of the fleet",
-                labels=[Label(first_span, "first used here")],
+                labels=[Label(first_span, FIRST_USE)],
             )
         return replace(robot, ros=replace(robot.ros, package=package))
 

@@ -24,7 +24,7 @@ from thorvaldc.compiler.source.node import (
     plain_scalar,
     report_decimal_comma,
 )
-from thorvaldc.diagnostics import Label, Proposal, Report, Span
+from thorvaldc.diagnostics import FIRST_USE, Label, Proposal, Report, Span
 
 MAX_BYTES = 1_000_000
 MAX_VALUES = 100_000
@@ -432,7 +432,7 @@ class _Reader:
                     f"the key `{key}` occurs twice",
                     entry_span,
                     hint="keep one of them",
-                    labels=[Label(first, "first used here")],
+                    labels=[Label(first, FIRST_USE)],
                 )
                 continue
             values[key] = last

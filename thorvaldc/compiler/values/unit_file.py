@@ -19,7 +19,7 @@ from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.source.units import UnitError, parse_with_dimension
 from thorvaldc.compiler.validation.document_check import compiled_kind, report_wrong_kind
 from thorvaldc.compiler.values.value_reader import entries
-from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
+from thorvaldc.diagnostics import FIRST_USE, Label, Report, Span, did_you_mean
 from thorvaldc.schema import inlined
 
 _Path = tuple[str, ...]
@@ -82,7 +82,7 @@ def _merged(design: Node, unit: Node, report: Report) -> Node:
         for keys, node, target in _values((first,), whole, entries(document).get(first)):
             name, where = ".".join(keys), node.where
             if spans.setdefault(keys, where) is not where:
-                labels = [Label(spans[keys], "first used here")]
+                labels = [Label(spans[keys], FIRST_USE)]
                 message = f"the key `{name}` occurs twice"
                 report.add("yaml-duplicate-key", message, where, hint="keep one", labels=labels)
                 continue

@@ -11,7 +11,7 @@ from typing import Any
 
 from thorvaldc.compiler.source.node import Node, plain_scalar
 from thorvaldc.compiler.source.reader import MAX_DEPTH, MAX_VALUES, compose
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics import FIRST_USE, Label, Report, Span
 from thorvaldc.tools.audit.audit_facts import Evidence, Fact, ParameterSection, UnreadableFileError
 
 _KEY = "ros__parameters"
@@ -84,7 +84,7 @@ class _Converter:
                 f"the key `{key}` occurs twice with different values; ROS uses the last one",
                 last.where,
                 hint="keep one of them",
-                labels=[Label(first.where, "first used here")],
+                labels=[Label(first.where, FIRST_USE)],
             )
         values[key] = last
 

@@ -16,7 +16,7 @@ from typing import Any
 from thorvaldc.compiler.source.input_file import read_bytes
 from thorvaldc.compiler.source.node import Node, describe_node
 from thorvaldc.compiler.source.reader import MAX_BYTES, MAX_VALUES, compose
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics import FIRST_USE, Label, Report, Span
 
 # A parameter of ROS 2 with its path, such as `motor_drives.drive0.x`.
 _DOTTED = re.compile(r"[A-Za-z_]\w*(\.\w+)+")
@@ -136,7 +136,7 @@ class _NodeConverter:
             "import-duplicate-key",
             f"the key `{key}` occurs twice; the last one counts, as in ROS",
             span,
-            labels=[Label(first.where, "first used here")],
+            labels=[Label(first.where, FIRST_USE)],
         )
 
     def span(self, raw: Any) -> Span:
