@@ -189,12 +189,14 @@ class Mounting:
         if kind in fitting_kinds:
             return
         shown_kinds = " or ".join(f"`{k}`" for k in fitting_kinds) or "no port at all"
+        hint = f"state `mount: {{kinds: [{kind}], link: LINK}}` in the module"
         self.report.add(
             "port-kind",
             f"`{reference}` is a `{kind}`; "
             f"`{mounted_leaf.path}` ({mounted_leaf.type.name}) fits {shown_kinds}",
             node.span,
             labels=[Label(port_section.where, f"`{kind}` is declared here")],
+            hint=None if fitting_kinds else hint,
         )
 
     def check_places(self, robot: module_tree.Instance) -> None:
