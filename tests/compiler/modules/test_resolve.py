@@ -113,6 +113,12 @@ def test_module_fits_only_ports_of_its_kinds(workshop: Workshop) -> None:
     assert "port-kind" in [
         d.code.name for d in workshop.diagnostics(f"{arm}    b: {{type: t/block, mount: arm.tip}}")
     ]
+    workshop.module("t/loose", "links:\n  box: {}\n")
+    (loose,) = workshop.diagnostics(f"{CART}    c: {{type: t/loose, mount: body.front}}")
+    assert (loose.code.name, loose.hint) == (
+        "port-kind",
+        "state `mount: {kinds: [clamp], link: LINK}` in the module",
+    )
     block = "links:\n  box: {}\nmount: {kinds: [clamp, tool]}\n"
     workshop.module("t/any", block)
     workshop.robot(
