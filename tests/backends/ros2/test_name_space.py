@@ -16,6 +16,7 @@ from tests.examples import SAMPLED_ROBOTS
 from tests.slow import mostly_slow
 from thorvaldc.backends import ros2_package_files, ros2_parts
 from thorvaldc.backends.mjcf import ros2_control_files
+from thorvaldc.backends.ros2 import in_any_name_space
 from thorvaldc.backends.ros2_controllers import CONTROLLER_FILE, controller_parameters
 from thorvaldc.backends.ros2_parameters import parameter_file
 from thorvaldc.backends.sdf import model_text
@@ -217,3 +218,10 @@ def test_a_launch_file_of_a_user_starts_several_robots(tmp_path: Path) -> None:
     for node, space in zip(nodes, spaces, strict=True):
         assert f'<link name="{space}/base_link"' in node.parameters["robot_description"]
         assert f"/{space}/robot_state_publisher:" in node.files[0].read_text(encoding="utf-8")
+
+
+def test_launch_evaluates_nothing_that_a_robot_file_contains() -> None:
+    """The grammar of launch: a backslash before `$` and before a backslash is an escape."""
+    text = r'''note: "$(command reboot) \n"'''
+    files = in_any_name_space(variant("4wd4ws_wide"), {"config/a.yaml": text})
+    assert files == {"config/a.yaml": rb'''note: "\$(command reboot) \\n"'''}
