@@ -204,7 +204,8 @@ function hold(id) {
 
 async function openKept(id, isNew) {
   if (id === identity) return;
-  const robot = keptRobot(id), isFree = await hold(id);
+  const isFree = await hold(id), robot = keptRobot(id); // as the page that had it open left it
+  if (!robot) return note("This robot was removed in another page.");
   openFiles(robot.files, robot.main, "", isFree ? "" : "Another page has this robot open; this is a copy.", isFree ? id : newIdentity(), isNew);
   if (!isFree) keep();
 }

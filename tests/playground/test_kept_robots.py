@@ -117,6 +117,7 @@ class Session:
             path = self.folder / "robot.yaml"
             path.write_text(f"name: own\n{line}\n")
             page.set_input_files("#chosen-files", path)
+            wait_until(page, lambda: line in page.evaluate("editor.text"))
             self.typed.add(line)
         settle(page)
 

@@ -8,11 +8,11 @@ from typing import Any
 
 from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.modules.module_parameters import Scope
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import Node, insertion
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.document_section import Section, read_document
-from thorvaldc.diagnostics import Report, did_you_mean
+from thorvaldc.diagnostics import Proposal, Report, did_you_mean
 from thorvaldc.model import Bus, Robot
 from thorvaldc.model import Node as Device
 from thorvaldc.model.scenario import FAULT_KINDS, BusFault, BusFaults, FaultKind, Quirk
@@ -62,12 +62,16 @@ class _Reader:
         if not self._has_keys(node, name, kind) or bus is None:
             return None
         if (section["cob_id"] or 0) > 0x7FF and section["format"] != "extended":
+            hint = "write `format: extended` for an identifier with 29 bits"
+            written = node.get("format")
             self.report.add(
                 "can-cob-id-range",
                 f"the fault `{name}` has the identifier {section['cob_id']:#x}; a "
                 f"{section['format']} frame has 0x0 to 0x7ff",
-                section.node.where,
-                hint="write `format: extended` for an identifier with 29 bits",
+                node.where,
+                hint=Proposal(hint, "extended", span=written.span)
+                if written is not None
+                else insertion(hint, node, "format", "extended", is_example=False),
             )
             return None
         if device is not None and not self._suits(node, name, device):

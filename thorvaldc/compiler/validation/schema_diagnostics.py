@@ -174,15 +174,24 @@ class _Explanation:
         meant = self._misspelt().get(key)
         meant = meant or meant_key(key, self._entries(), properties, ())
         if meant is not None:
-            hint = f"did you mean `{meant}`?"
-            fits = SchemaWalk(self.kind).fits(properties[meant], entry)
-            return Proposal(hint, meant, word=key) if fits else hint
+            if SchemaWalk(self.kind).fits(properties[meant], entry):
+                return Proposal(f"did you mean `{meant}`?", meant, word=key)
+            return self._other_entry(entry, meant, properties[meant])
         for name, inner in properties.items():
             if key in inner.get("properties", {}):
                 return f"`{key}` belongs under `{name}`"
         if "params" in properties:
             return "parameters of the module's type belong under `params`"
         return "known keys are " + ", ".join(f"`{name}`" for name in properties)
+
+    def _other_entry(self, entry: Node, meant: str, schema: dict[str, Any]) -> str:
+        """Returns the hint for an unknown key whose value does not fit the key that was meant."""
+        example, start, value = _example(schema), entry.where, entry.span
+        if example is None or not isinstance(entry.value, str | bool):
+            return f"`{meant}` was probably meant, which takes another value"
+        span = Span(start.file, start.line, start.column, value.end_line, value.end_column)
+        entry_text = f"{meant}: {example}"
+        return Proposal(f"write `{entry_text}`", entry_text, span=span, is_example=True)
 
     def _misspelt(self) -> dict[str, str]:
         """Returns the missing required key that each unknown key of the YAML mapping means."""
