@@ -490,15 +490,16 @@ def _j1939_identifier(name: str, frame: Node, node: Node, scope: Scope) -> tuple
     wrong = [key for key, most in limits.items() if not 0 <= numbers[key] <= most]
     pgn, has_destination = numbers["pgn"], node.get("destination") is not None
     to_one = (pgn >> 8 & 0xFF) < 0xF0
-    problem, hint = "", None
+    problem = ""
+    hint: str | None = None
     if wrong:
         problem = f"the {wrong[0]} {numbers[wrong[0]]}; it must be 0 to {limits[wrong[0]]}"
     elif to_one and pgn & 0xFF:
         problem = f"the PGN {pgn:#x}, whose lower 8 bits are those of the destination"
         hint = f"the PGN without them is {pgn & ~0xFF:#x}, with `destination: {pgn & 0xFF}`"
         if has_destination:
-            without, span = f"{pgn & ~0xFF:#x}", node.value["pgn"].span
-            hint = Proposal(f"write `pgn: {without}`", without, span=span)
+            written, without = node.get("pgn") or node, f"{pgn & ~0xFF:#x}"
+            hint = Proposal(f"write `pgn: {without}`", without, span=written.span)
     elif to_one is not has_destination:
         problem = f"the PGN {pgn:#x} and {'no' if to_one else 'a'} `destination`"
         hint = "a PGN with a PDU format below 240 (0xF0) has one, others have none"
