@@ -9,7 +9,7 @@ import struct
 
 import pytest
 
-from thorvaldc.backends.mjcf_terrain import height_file, heights, relief
+from thorvaldc.backends.mjcf_terrain import height_file, relief, relief_of
 from thorvaldc.model import Ground, Pose, Zone
 
 GROUND = Ground(amplitude=0.1, wavelength=2.0, seed=7, size=(12.0, 8.0))
@@ -33,12 +33,12 @@ def grid(edge: float, cells: int) -> list[float]:
 
 
 def test_ten_cells_for_each_wave() -> None:
-    rows = heights(GROUND, [])
+    rows = relief_of(GROUND, []).rows
     assert (len(rows), len(rows[0])) == (41, 61)
 
 
 def test_bumps_are_plane_waves_of_equal_steepness() -> None:
-    rows = heights(GROUND, [])
+    rows = relief_of(GROUND, []).rows
     xs, ys = grid(12.0, 60), grid(8.0, 40)
     largest = max(abs(bumps(x, y, 2.0, 7)) for x in xs for y in ys)
     for row, y in list(zip(rows, ys, strict=True))[10:-10]:  # without the edge
@@ -47,7 +47,7 @@ def test_bumps_are_plane_waves_of_equal_steepness() -> None:
 
 
 def test_the_edge_descends_within_one_wavelength() -> None:
-    rows = heights(GROUND, [])
+    rows = relief_of(GROUND, []).rows
     xs, ys = grid(12.0, 60), grid(8.0, 40)
     largest = max(abs(bumps(x, y, 2.0, 7)) for x in xs for y in ys)
     for column, row in ((5, 20), (55, 20), (30, 5), (30, 35)):  # at half a wavelength
@@ -60,9 +60,9 @@ def test_the_edge_descends_within_one_wavelength() -> None:
 
 def test_the_ground_is_level_around_each_start() -> None:
     ground = Ground(amplitude=0.1, wavelength=2.0, seed=7, size=(30.0, 20.0))
-    rough = heights(ground, [])
+    rough = relief_of(ground, []).rows
     starts = (Pose((-6.0, 1.0, 0.0)), Pose((5.0, -3.0, 0.0)))
-    rows = heights(ground, starts)
+    rows = relief_of(ground, starts).rows
     for row, rough_row, y in zip(rows, rough, grid(20.0, 100), strict=True):
         for height, before, x in zip(row, rough_row, grid(30.0, 150), strict=True):
             away = min(math.hypot(x - s.xyz[0], y - s.xyz[1]) for s in starts)

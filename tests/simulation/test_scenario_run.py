@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from thorvaldc.backends.mjcf_terrain import heights
+from thorvaldc.backends.mjcf_terrain import relief_of
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Ground, Pose
@@ -237,15 +237,16 @@ def test_records_have_the_groups_and_times_of_the_scenario(tmp_path: Path) -> No
 
 def test_rough_ground_has_its_amplitude_and_is_level_at_the_start() -> None:
     ground = Ground(amplitude=0.02, wavelength=1.0, seed=5, size=(20.0, 10.0))
-    rows = heights(ground, [Pose((2.0, 1.0, 0.0))])
+    rows = relief_of(ground, [Pose((2.0, 1.0, 0.0))]).rows
     inner = [h for row in rows[20:-20] for h in row[20:-20]]
     assert 0.0 <= min(inner) < 0.3
     assert 0.7 < max(inner) <= 1.0
     x, y = round((2.0 + 10.0) * 10), round((1.0 + 5.0) * 10)
     assert {rows[y + dy][x + dx] for dx in range(-9, 10) for dy in range(-9, 10)} == {0.5}
     assert rows[0][5] == rows[5][0] == 0.0
-    assert heights(ground, []) == heights(ground, [])
-    assert heights(Ground(0, 0, 0.02, 1.0, 6, (20.0, 10.0)), []) != heights(ground, [])
+    assert relief_of(ground, []).rows == relief_of(ground, []).rows
+    other = Ground(0, 0, 0.02, 1.0, 6, (20.0, 10.0))
+    assert relief_of(other, []).rows != relief_of(ground, []).rows
 
 
 def test_divergence_is_reported_with_time_and_cause(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.examples import example_fleet
-from thorvaldc.backends.mjcf_terrain import heights
+from thorvaldc.backends.mjcf_terrain import relief_of
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Fleet, Ground, Pose, World, Zone
 from thorvaldc.model.spatial import rotate
@@ -47,7 +47,7 @@ def test_the_terrain_is_that_of_the_simulation() -> None:
     ground = Ground(amplitude=0.02, wavelength=1.0, seed=4, size=(8.0, 6.0))
     fleet = replace(example_fleet("fleet_of_four"), world=World(ground))
     (relief,) = page_data(fleet)["world"]["reliefs"]
-    expected = heights(ground, [p.pose for p in fleet.placements])
+    expected = relief_of(ground, [p.pose for p in fleet.placements]).rows
     assert grid(relief) == pytest.approx(0.04 * np.asarray(expected), abs=1e-6)
     assert relief["pose"][2] == -0.02
     # Large ground: fewer points, at the same place.
@@ -58,7 +58,7 @@ def test_the_terrain_is_that_of_the_simulation() -> None:
     assert shown[0, 0] == 0.0
     assert np.ptp(shown) == pytest.approx(0.04, rel=0.1)
     assert large.world is not None
-    whole = np.asarray(heights(large.world.ground, [p.pose for p in large.placements]))
+    whole = np.asarray(relief_of(large.world.ground, [p.pose for p in large.placements]).rows)
     ys, xs = (
         np.linspace(0, n - 1, m).round() for n, m in zip(whole.shape, shown.shape, strict=True)
     )

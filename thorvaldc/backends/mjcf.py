@@ -255,26 +255,17 @@ def _add_world(
             rgba=description_parts.BLOCK_COLORS[block.kind],
         )
     files = _add_zones(scene, body, world.zones)
-    if not ground.amplitude:
+    if ground.even:
         return files
-    from thorvaldc.backends.mjcf_terrain import height_file, heights  # few builds need it
+    from thorvaldc.backends.mjcf_terrain import height_file, relief_of  # few builds need it
 
-    x, y = ground.size
-    scene.add("asset").add(
-        "hfield",
-        name="terrain",
-        file=TERRAIN,
-        size=(x / 2, y / 2, 2 * ground.amplitude, _DEPTH),
-    )
-    body.add(
-        "geom",
-        name="ground/terrain",
-        type="hfield",
-        hfield="terrain",
-        pos=(0, 0, -ground.amplitude),
-        material="ground",
-    )
-    return {**files, f"mjcf/{TERRAIN}": height_file(heights(ground, starts))}
+    relief = relief_of(ground, starts)
+    (x, y), (edge_x, edge_y) = relief.center, relief.size
+    size = (edge_x / 2, edge_y / 2, clean(relief.height), _DEPTH)
+    scene.add("asset").add("hfield", name="terrain", file=TERRAIN, size=size)
+    terrain = body.add("geom", name="ground/terrain", type="hfield", hfield="terrain")
+    terrain.set(pos=(x, y, relief.low), material="ground")
+    return {**files, f"mjcf/{TERRAIN}": height_file(relief.rows)}
 
 
 def _add_zones(scene: Element, body: Element, zones: Sequence[model.Zone]) -> dict[str, bytes]:

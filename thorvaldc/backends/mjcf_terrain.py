@@ -1,10 +1,11 @@
-"""Height fields of rough ground, in the binary format of MuJoCo."""
+"""Height fields of rough ground and of height maps, in the binary format of MuJoCo."""
 
 from __future__ import annotations
 
 import math
 import random
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from thorvaldc.model import Ground, Pose, Zone
 
@@ -16,7 +17,34 @@ _CELL = 0.1
 """Largest cell (m) of the grid of a zone."""
 
 
-def heights(ground: Ground, starts: Sequence[Pose]) -> list[list[float]]:
+class Relief(NamedTuple):
+    """Heights of the ground on a grid.
+
+    - ``center``, ``size``: centre of the grid (x, y) and its edge lengths along x and y in m.
+    - ``low``, ``height``: height of the lowest point of the grid, and of the highest one above it,
+      in m.
+    - ``rows``: relative heights between 0 and 1, one row for each y coordinate.
+    """
+
+    center: tuple[float, float]
+    size: tuple[float, float]
+    low: float
+    height: float
+    rows: list[list[float]]
+
+
+def relief_of(ground: Ground, starts: Sequence[Pose]) -> Relief:
+    """Return the heights of rough ground, or of a height map."""
+    heights = ground.heights
+    if heights is not None:
+        top = max(map(max, heights.rows))
+        rows = [[height / top for height in row] for row in heights.rows]
+        return Relief(heights.center, heights.size, 0.0, top, rows)
+    rows = _bumps(ground, starts)
+    return Relief((0.0, 0.0), ground.size, -ground.amplitude, 2.0 * ground.amplitude, rows)
+
+
+def _bumps(ground: Ground, starts: Sequence[Pose]) -> list[list[float]]:
     """Return the relative heights of rough ground as a grid of numbers.
 
     The grid of heights has one row for each y coordinate. A relative height is the height divided

@@ -190,20 +190,20 @@ def _add_ground(
         plane.fill(normal="0 0 1", size=(_GROUND_SIZE, _GROUND_SIZE))
         if part.tag == "visual":
             sdf_robot.add_material(part, _GROUND_COLOR)
-    if not ground.amplitude:
+    if ground.even:
         return {}
-    from thorvaldc.backends.mjcf_terrain import heights  # few builds need it
+    from thorvaldc.backends.mjcf_terrain import relief_of  # few builds need it
 
+    relief = relief_of(ground, starts)
     link = _static_link(world, "terrain")
+    if any(relief.center):
+        sdf_robot.add_pose(link, Pose((*relief.center, 0.0)))
     for part in _parts(link):
         part.add("geometry").add("mesh").fill(uri=TERRAIN)
         if part.tag == "visual":
             sdf_robot.add_material(part, _GROUND_COLOR)
-    scaled = [
-        [ground.amplitude * (2.0 * height - 1.0) for height in row]
-        for row in heights(ground, starts)
-    ]
-    return {f"sdf/{TERRAIN}": binary_stl(_triangles(scaled, ground.size), bytes(80))}
+    rows = [[relief.low + relief.height * height for height in row] for row in relief.rows]
+    return {f"sdf/{TERRAIN}": binary_stl(_triangles(rows, relief.size), bytes(80))}
 
 
 def _add_blocks(world: Element, surroundings: World) -> None:

@@ -321,6 +321,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV823", "record-value", "a value is not a number, or the time does not increase"),
     _warning("TV824", "record-truncated", "a record ends in the middle of a line"),
     _error("TV826", "script-log", "a log contains no velocities for a script"),
+    _error("TV827", "height-map", "a file contains no heights of the ground"),
     _error(
         "TV831", "joint-log-joint", "the columns of a joint log are not those of the robot's joints"
     ),

@@ -41,9 +41,27 @@ from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
 # Most commands have one robot without a scene: the classes of a scene are made at their first use.
 if TYPE_CHECKING:
-    from thorvaldc.model.fleet import Block, Fleet, Ground, Placement, World, Zone, robots_by_name
+    from thorvaldc.model.fleet import (
+        Block,
+        Fleet,
+        Ground,
+        HeightMap,
+        Placement,
+        World,
+        Zone,
+        robots_by_name,
+    )
 else:
-    _SCENE = {"Block", "Fleet", "Ground", "Placement", "World", "Zone", "robots_by_name"}
+    _SCENE = {
+        "Block",
+        "Fleet",
+        "Ground",
+        "HeightMap",
+        "Placement",
+        "World",
+        "Zone",
+        "robots_by_name",
+    }
 
     def __getattr__(name):
         if name not in _SCENE:
@@ -68,6 +86,7 @@ __all__ = [
     "Fleet",
     "FrameDefinition",
     "Ground",
+    "HeightMap",
     "Inertial",
     "Joint",
     "JointServo",

@@ -34,6 +34,42 @@ class Placement:
 
 
 @dataclass(frozen=True, slots=True)
+class HeightMap:
+    """Heights of the ground on a regular grid, from a file of a scenario.
+
+    - ``center``: position x, y of the centre of the grid in m.
+    - ``size``: edge lengths of the grid in m along x and y.
+    - ``rows``: heights in m above the lowest one, one row for each y coordinate, with increasing x
+      and y.
+    """
+
+    center: tuple[si.Metres, si.Metres]
+    size: tuple[si.Metres, si.Metres]
+    rows: tuple[tuple[si.Metres, ...], ...]
+
+    def height(self, x: float, y: float) -> float:
+        """Return the height in m at a position in m, bilinear between the points of the grid.
+
+        The height outside of the grid is 0.
+        """
+        counts = (len(self.rows[0]), len(self.rows))
+        places = [
+            ((value - center) / edge + 0.5) * (count - 1)
+            for value, center, edge, count in zip(
+                (x, y), self.center, self.size, counts, strict=True
+            )
+        ]
+        if not all(0.0 <= place <= count - 1 for place, count in zip(places, counts, strict=True)):
+            return 0.0
+        (i, j) = (min(int(place), count - 2) for place, count in zip(places, counts, strict=True))
+        u, v = places[0] - i, places[1] - j
+        below, above = self.rows[j], self.rows[j + 1]
+        return (1.0 - v) * ((1.0 - u) * below[i] + u * below[i + 1]) + v * (
+            (1.0 - u) * above[i] + u * above[i + 1]
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Ground:
     """The ground on which the robots of a scene drive. The poses of the robots are relative to the
     ground plane z = 0.
@@ -45,6 +81,7 @@ class Ground:
     - ``wavelength``: shortest wavelength of the bumps in m.
     - ``seed``: seed of the random number generator for the bumps.
     - ``size``: edge lengths in m along x and y of the bumpy rectangle around the origin.
+    - ``heights``: the heights of the ground, or ``None`` for a plane and random bumps.
     """
 
     angle: si.Radians = 0.0
@@ -53,6 +90,12 @@ class Ground:
     wavelength: si.Metres = 1.0
     seed: int = 0
     size: tuple[si.Metres, si.Metres] = (30.0, 30.0)
+    heights: HeightMap | None = None
+
+    @property
+    def even(self) -> bool:
+        """True if the ground is a plane: without bumps and without a height map."""
+        return not self.amplitude and self.heights is None
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from typing import Any, Literal
 
 from thorvaldc.backends.description_parts import BLOCK_COLORS, Color
 from thorvaldc.backends.mjcf import zone_color
-from thorvaldc.backends.mjcf_terrain import heights, relief
+from thorvaldc.backends.mjcf_terrain import relief, relief_of
 from thorvaldc.compiler.modules.mounting import MountingPort
 from thorvaldc.model import Box, Fleet, Ground, Joint, MeshShape, Pose, Robot, Shape, World, Zone
 from thorvaldc.model.plugins import data_folder
@@ -279,10 +279,8 @@ def world_data(
                 }
             )
     ground = world.ground
-    if ground.amplitude:
-        low = Pose((0.0, 0.0, -ground.amplitude))
-        grid = _ground_relief(ground, tuple(starts))
-        reliefs.append({"kind": "ground", "pose": pose_values(low), "color": GROUND_COLOR, **grid})
+    if not ground.even:
+        reliefs.append(_ground_relief(ground, tuple(starts)))
     axis = (math.sin(ground.direction), -math.cos(ground.direction), 0.0)
     return {
         "text": _text(world),
@@ -300,7 +298,10 @@ def _body(kind: str, name: str, shape: int, pose: Pose, color: Color) -> dict[st
 # The same ground is drawn after each change of a file; random heights take some 0.1 s.
 @functools.lru_cache(maxsize=8)
 def _ground_relief(ground: Ground, starts: tuple[Pose, ...]) -> dict[str, Any]:
-    return _relief(ground.size, heights(ground, starts), 2.0 * ground.amplitude)
+    ground_relief = relief_of(ground, starts)
+    low = Pose((*ground_relief.center, ground_relief.low))
+    grid = _relief(ground_relief.size, ground_relief.rows, ground_relief.height)
+    return {"kind": "ground", "pose": pose_values(low), "color": GROUND_COLOR, **grid}
 
 
 @functools.lru_cache(maxsize=32)
@@ -334,6 +335,9 @@ def _text(world: World) -> str:
     if ground.angle:
         uphill = math.degrees(ground.direction)
         parts.append(f"slope {math.degrees(ground.angle):.3g} deg (uphill at {uphill:.3g} deg)")
+    if ground.heights is not None:
+        x, y = ground.heights.size
+        parts.append(f"height map of {x:.3g} m x {y:.3g} m")
     if ground.amplitude:
         parts.append(f"bumps of {1e3 * ground.amplitude:.3g} mm")
     counts = Counter(block.kind for block in world.blocks)

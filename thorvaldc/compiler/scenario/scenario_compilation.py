@@ -58,7 +58,8 @@ def compile_scenario(
         section = read_document(checked, "scenario", ValueReader(report))
         fleet = _read_robots(section, source, compile_part, report, parts, robot)
         if fleet is not None:
-            scenario = read_scenario(section, fleet, report)
+            folder, files = source.path.parent, compilation.files
+            scenario = read_scenario(section, fleet, folder, files, report)
             scenario = _with_log(checked, scenario, source, compilation.files, report)
             compilation.scenario, compilation.model = scenario, scenario.fleet
     return compilation.complete(source, report, parts)
@@ -184,10 +185,14 @@ def metric_units() -> Mapping[str, str]:
     return {**units, "energy_per_metre": "J/m"}  # N, which nobody would call it
 
 
-def read_scenario(document: Section, fleet: Fleet, report: Report) -> Scenario:
+def read_scenario(
+    document: Section, fleet: Fleet, folder: Path, files: dict[str, Path], report: Report
+) -> Scenario:
     """Returns the scenario that a scenario document describes.
 
     The fleet of the scenario contains the robots of ``fleet`` and the world of the document.
+
+    - ``folder``, ``files``: as for ``world_reader.read_world``.
     """
     world = document["world"]
     friction = world["friction"]
@@ -198,9 +203,12 @@ def read_scenario(document: Section, fleet: Fleet, report: Report) -> Scenario:
         )
         fleet = replace(fleet, placements=tuple(placements))
     name, description = document["scenario"], document["description"]
-    fleet = replace(
-        fleet, name=name, description=description, world=world_reader.read_world(world, report)
-    )
+    surroundings = world_reader.read_world(world, folder, files, report)
+    heights = surroundings.ground.heights
+    if heights is not None:
+        placements = (world_reader.standing(p, heights) for p in fleet.placements)
+        fleet = replace(fleet, placements=tuple(placements))
+    fleet = replace(fleet, name=name, description=description, world=surroundings)
     world_reader.check_starts(fleet, world, report)
     world_reader.check_obstacles(fleet, world, report)
     # A missing or wrong duration is an error; then no step is after the end.

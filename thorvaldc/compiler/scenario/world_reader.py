@@ -7,10 +7,12 @@ start above a row of plants.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from thorvaldc import model
+from thorvaldc.compiler.scenario.height_maps import read_height_map
 from thorvaldc.compiler.source.node import Node, insertion, removal
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries, items
@@ -19,22 +21,88 @@ from thorvaldc.model import spatial
 from thorvaldc.model.statics.convex_bodies import ConvexBody, overlap_along, overlap_of
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.occupied_space import solids_of
+from thorvaldc.model.sums import float_sum
 
 _KEYS_OF_SLOPES = ("angle", "direction")
 _KEYS_OF_ROUGH_GROUND = ("amplitude", "wavelength", "seed", "size")
+_KEYS_OF_MAPS = ("file", "height")
+_TYPES = {
+    **dict.fromkeys(_KEYS_OF_SLOPES, "slope"),
+    **dict.fromkeys(_KEYS_OF_ROUGH_GROUND, "rough"),
+    **dict.fromkeys(_KEYS_OF_MAPS, "map"),
+}
 
 
-def read_world(world: Section, report: Report) -> model.World:
+def read_world(world: Section, folder: Path, files: dict[str, Path], report: Report) -> model.World:
     """Returns the world (ground, zones and obstacles) of a scenario document.
 
     The default world is level ground without obstacles.
+
+    - ``folder``: folder to which the paths of the document are relative.
+    - ``files``: the function adds each file that was read, by its name in spans.
     """
-    ground = world["ground"]
-    return model.World(
-        _ground(ground, report) if "ground" in world else model.Ground(),
-        ObstacleReader(world, report).blocks(),
+    ground = model.Ground()
+    if "ground" in world:
+        ground = _ground(world["ground"], folder, files, report)
+    zones, blocks = (
         tuple(read_zones(world["zones"], report)),
+        ObstacleReader(world, report).blocks(),
     )
+    if ground.heights is None:
+        return model.World(ground, blocks, zones)
+    for key in ("zones", "kerbs", "rails"):
+        if world[key]:
+            report.add(
+                "conflicting-keys",
+                f"ground of the type `map` has no `{key}`",
+                world.entry(key).where,
+                hint=removal("leave them out, or make them a part of the map", world.node, key),
+            )
+    return model.World(ground, tuple(_on(ground.heights, block) for block in blocks))
+
+
+def _on(heights: model.HeightMap, block: model.Block) -> model.Block:
+    """Returns a block at the height of the ground."""
+    x, y, _ = block.pose.xyz
+    return replace(block, pose=_offset(0.0, 0.0, heights.height(x, y)) * block.pose)
+
+
+def standing(placement: model.Placement, heights: model.HeightMap) -> model.Placement:
+    """Returns a robot that stands on a height map, in parallel to the plane through its wheels.
+
+    The plane has the least squared distances to the ground under the wheels.  No wheel is in the
+    ground.
+    """
+    x, y, z = placement.pose.xyz
+    points = [placement.pose.apply((w.x, w.y, 0.0)) for w in placement.robot.wheels]
+    places = [(a - x, b - y, heights.height(a, b)) for a, b, _ in points]
+    slope_x, slope_y, middle = _plane(places) if places else (0.0, 0.0, heights.height(x, y))
+    rise = max((h - (middle + slope_x * a + slope_y * b) for a, b, h in places), default=0.0)
+    length = math.hypot(slope_x, slope_y, 1.0)
+    upright = (-slope_x / length, -slope_y / length, 1.0 / length)
+    tilt = model.Pose((0.0, 0.0, 0.0), spatial.quat_from_z_to(upright))
+    foot = _offset(x, y, z + middle + rise)
+    turned = replace(placement.pose, xyz=(0.0, 0.0, 0.0))
+    return replace(placement, pose=(foot * tilt * turned).clean())
+
+
+def _plane(points: Sequence[model.Vec3]) -> model.Vec3:
+    """Returns a, b and c of the plane z = a x + b y + c with the least squared distances along z.
+
+    If the points are in a line on the ground, the plane is level across the line.
+    """
+    count = len(points)
+    x, y, z = (float_sum(axis) / count for axis in zip(*points, strict=True))
+    away = [(p[0] - x, p[1] - y, p[2] - z) for p in points]
+    xx, xy, yy, xz, yz = (
+        float_sum(p[i] * p[j] for p in away) for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2))
+    )
+    spread, area = xx + yy, xx * yy - xy * xy
+    if area > 1e-6 * spread * spread:
+        a, b = (xz * yy - yz * xy) / area, (yz * xx - xz * xy) / area
+    else:
+        a, b = (xz / spread, yz / spread) if spread else (0.0, 0.0)
+    return a, b, z - a * x - b * y
 
 
 def with_friction(robot: model.Robot, coefficient: float) -> model.Robot:
@@ -43,19 +111,21 @@ def with_friction(robot: model.Robot, coefficient: float) -> model.Robot:
     return replace(robot, wheels=tuple(wheels))
 
 
-def _ground(ground: Section, report: Report) -> model.Ground:
+def _ground(ground: Section, folder: Path, files: dict[str, Path], report: Report) -> model.Ground:
     """Reads the ground of the world, and reports keys that have no effect on the type of the
     ground.
     """
     node, ground_type = ground.node, ground["type"]
     keys_without_effect = {
-        "plane": (*_KEYS_OF_SLOPES, *_KEYS_OF_ROUGH_GROUND),
-        "slope": _KEYS_OF_ROUGH_GROUND,
+        "plane": (*_KEYS_OF_SLOPES, *_KEYS_OF_ROUGH_GROUND, *_KEYS_OF_MAPS),
+        "slope": (*_KEYS_OF_ROUGH_GROUND, *_KEYS_OF_MAPS),
+        "rough": _KEYS_OF_MAPS,
+        "map": ("amplitude", "wavelength", "seed"),
     }
     for key in keys_without_effect.get(ground_type, ()):
         entry = node.get(key)
         if entry is not None and "type" in ground:
-            suitable_type = "rough" if key in _KEYS_OF_ROUGH_GROUND else "slope"
+            suitable_type = _TYPES[key]
             report.add(
                 "conflicting-keys",
                 f"`{key}` has no effect on ground of type `{ground_type}`",
@@ -66,6 +136,8 @@ def _ground(ground: Section, report: Report) -> model.Ground:
         hint = insertion("add `angle: 10 deg`", node, "angle", "10 deg", is_example=True)
         report.add("missing-key", "a slope has no `angle`", node.where, hint=hint)
     slope = model.Ground(ground["angle"] or 0.0, ground["direction"])
+    if ground_type == "map":
+        return replace(slope, heights=read_height_map(ground, folder, files, report))
     if ground_type != "rough":
         return slope
     _check_size(ground, report)
