@@ -64,6 +64,7 @@ TOOLS = (
         lambda: bool(shutil.which("ign")) and any(IGNITION.glob("cmdsdformat*.rb")),
     ),
     _program("bash", "bash"),  # completes commands
+    _program("systemd-analyze", "systemd"),  # reads the generated units
     _program("shellcheck", "shellcheck"),  # reads the generated shell script
     _program("chromium", "chromium", "google-chrome"),  # opens the generated web page
     _program("npm", "npm nodejs"),  # builds the viewer; installs axe-core

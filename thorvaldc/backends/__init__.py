@@ -60,6 +60,7 @@ TARGETS = {
     "sdf": "thorvaldc.backends.sdf:Sdf",
     "ros2": "thorvaldc.backends.ros2:Ros2",
     "can": "thorvaldc.backends.can:Can",
+    "computer": "thorvaldc.backends.computer:ComputerFiles",
     "datasheet": "thorvaldc.backends.datasheet:Datasheet",
 }
 DEFAULT_TARGETS = ("urdf", "mjcf", "ros2", "can")
@@ -91,6 +92,8 @@ _PROGRAMS = {
     "dbc": "can",
     "canopen": "can",
     "pdf": "datasheet",
+    "systemd": "computer",
+    "udev": "computer",
 }
 """Targets by the names of programs and formats that users may try."""
 

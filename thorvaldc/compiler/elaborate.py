@@ -34,6 +34,7 @@ from thorvaldc.model.stopping import driven_wheels
 
 if TYPE_CHECKING:
     from thorvaldc.compiler.robot_settings.wheel_calibration import Calibration
+    from thorvaldc.model.robot_computer import Computer
 
 
 def elaborate(
@@ -198,6 +199,12 @@ class _Elaborator(NamedTuple):
         name = scope.text(document.get("name"))
         ros_section = read_section(document, "robot", "ros", scope)
         ros = robot_sections.read_ros_settings(ros_section, name, self.report)
+        computer: Computer | None = None
+        if document.get("computer") is not None:
+            from thorvaldc.compiler.robot_settings.computer_section import read_computer
+
+            computer_section = read_section(document, "robot", "computer", scope)
+            computer = read_computer(computer_section, buses, self.report)
         purchases: Mapping[str, Purchase] = {}
         if document.get("purchase") is not None:
             from thorvaldc.compiler.hardware.purchase_reader import read_purchases
@@ -221,6 +228,7 @@ class _Elaborator(NamedTuple):
                 document, parts.batteries, self.report
             ),
             buses=buses,
+            computer=computer,
             meshes=parts.meshes,
             calculator=robot_sections.read_calculator(document, scope),
             driver=driver,

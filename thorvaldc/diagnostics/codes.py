@@ -246,6 +246,8 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV546", "controller-without-motor", "a controller drives no motor"),
     _warning("TV547", "channel-side", "channels named left and right drive the other sides"),
     _error("TV555", "can-serial-unreadable", "a device cannot report the stated serial number"),
+    _warning("TV560", "computer-adapter", "nothing says which CAN adapter belongs to a bus"),
+    _error("TV561", "computer-device-twice", "two devices of the computer have the same name"),
     _error("TV580", "can-signal-floating-point", "a floating-point signal has a wrong format"),
     _error("TV581", "bus-not-canopen", "no node of a bus can be configured over CANopen"),
     # 6xx: backends

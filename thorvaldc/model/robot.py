@@ -16,6 +16,7 @@ from thorvaldc.diagnostics import DiagnosticError, Span
 from thorvaldc.diagnostics.html_view import HtmlView
 from thorvaldc.model import quantities as si
 from thorvaldc.model.bus import Bus, Scalar
+from thorvaldc.model.robot_computer import Computer
 from thorvaldc.model.settings import (
     DEFAULT_SETTINGS,
     CalculatorChoice,
@@ -440,6 +441,7 @@ class Robot(HtmlView):
       robot file states none.
     - ``battery_connection``: ``parallel`` if the batteries are one source, ``separate`` if each
       supplies its own modules, or ``None`` if the robot file states neither.
+    - ``computer``: the computer on the robot, or ``None`` if the robot file does not describe it.
     """
 
     html_view = "thorvaldc.model.facts.fact_page:robot_html"
@@ -468,6 +470,7 @@ class Robot(HtmlView):
     modules: tuple[Module, ...] = ()
     design_slope: si.Radians | None = None
     battery_connection: str | None = None
+    computer: Computer | None = None
 
     def __repr__(self) -> str:
         wheels = f"{len(self.wheels)} wheel{'' if len(self.wheels) == 1 else 's'}"

@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import math
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -24,9 +25,10 @@ from thorvaldc.runtime.can_base.base_fault import Cause
 from thorvaldc.runtime.can_base.base_state_machine import BaseState, StateChange
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot, Watch
-from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.driver import BaseDriver, DriverState
 from thorvaldc.runtime.pace import end_signals
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.service_notify import ServiceNotifier
 
 UNTESTED = (
     "thorvaldc's driver was never tried on physical hardware. Lift the wheels off the ground first,"
@@ -123,9 +125,16 @@ class RunSession:
         gc.collect()
         gc.freeze()
         gc.enable()
-        with end_signals() as self._end_signalled:
+        notifier = ServiceNotifier()
+
+        def after_cycle(driven: DrivenRobot, state: DriverState) -> None:
+            notifier.cycle_done(time.monotonic())
+            if watch is not None:
+                watch(driven, state)
+
+        with end_signals() as self._end_signalled, contextlib.closing(notifier):
             try:
-                self.driven.run(watch=watch, stop=self._is_over)
+                self.driven.run(watch=after_cycle, stop=self._is_over)
                 diagnostic = self._verdict()
                 self.driven.shutdown()
             except BaseException:

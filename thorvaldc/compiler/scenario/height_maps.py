@@ -176,7 +176,8 @@ def _check_extent(size: tuple[float, float], heights: list[float]) -> None:
     least, most = _EXTENTS
     if not all(least <= edge <= most for edge in size):
         raise _MapError(
-            f"has {plain(size[0])} m x {plain(size[1])} m; {plain(least)} m to {plain(most)} m are read",
+            f"has {plain(size[0])} m x {plain(size[1])} m; {plain(least)} m to {plain(most)} m are"
+            " read",
             "a GeoTIFF in degrees needs a projection in metres (gdalwarp -t_srs), a mesh is in "
             "metres",
         )

@@ -1,0 +1,110 @@
+"""The target `computer`: names of interfaces and ports, and the services of a robot's computer."""
+
+from __future__ import annotations
+
+import configparser
+from pathlib import Path
+
+from tests.cli.conftest import GOOD
+from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.diagnostics import Report
+from thorvaldc.model import Robot
+
+TWO_BUSES = GOOD.replace(
+    "modules:\n", "buses: {left: {bitrate: 250 kbit/s}, right: {bitrate: 1 Mbit/s}}\nmodules:\n", 1
+)
+for _name, _bus in (("fl", "left"), ("fr", "right"), ("rl", "left"), ("rr", "right")):
+    _id = ("fl", "fr", "rl", "rr").index(_name) + 1
+    TWO_BUSES = TWO_BUSES.replace(f"can: {_id}}}", f"can: {{bus: {_bus}, id: {_id}}}}}", 1)
+TWO_BUSES = TWO_BUSES.replace("0.07]}, can: 1}", "0.07]}, can: {bus: left, id: 7}}")
+
+
+def files_of(folder: Path, text: str) -> tuple[dict[str, str], list[str]]:
+    """Returns the files of the target, and the diagnostics of the robot and of the target."""
+    path = folder / "good.yaml"
+    path.write_text(text, encoding="utf-8")
+    compilation = compile_file(path)
+    assert isinstance(compilation.model, Robot), [d.message for d in compilation.report]
+    report = Report()
+    files = emit(compilation.model, ["computer"], report)
+    codes = [d.code.name for d in (*compilation.report, *report)]
+    texts = {
+        name.removeprefix("computer/"): data.decode()
+        for name, data in files.items()
+        if name.startswith("computer/")
+    }
+    return texts, codes
+
+
+def sections(text: str) -> configparser.ConfigParser:
+    parser = configparser.ConfigParser(strict=False, interpolation=None)
+    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    parser.read_string(text)
+    return parser
+
+
+def test_one_bus_needs_no_section(tmp_path: Path) -> None:
+    files, _ = files_of(tmp_path, GOOD)
+    link = sections(files["network/50-good-can_main.link"])
+    assert dict(link["Match"]) == {"Type": "can"}  # the only adapter
+    assert link["Link"]["Name"] == "can_main"
+    network = sections(files["network/50-good-can_main.network"])
+    assert dict(network["CAN"]) == {"BitRate": "500000"}  # no RestartSec: down after bus-off
+    service = sections(files["systemd/thorvaldc-good.service"])["Service"]
+    assert service["User"] == "robot"
+    assert "--bus socketcan:can_main --name" in service["ExecStart"]
+    assert service["ExecStartPre"].startswith("-")  # an error leaves the last build in use
+    assert not any(path.startswith("udev") for path in files)
+
+
+def test_each_bus_has_its_adapter_and_bit_rate(tmp_path: Path) -> None:
+    section = (
+        "computer:\n  user: rob\n  can:\n    left: {serial: A1}\n"
+        "    right: {path: 'pci-0000:00:14.0-usb-0:2:1.0', interface: can-r}\n"
+    )
+    files, codes = files_of(tmp_path, TWO_BUSES + section)
+    assert "computer-adapter" not in codes
+    left = files["network/50-good-can_left.link"]
+    assert "Property=ID_SERIAL_SHORT=A1\n" in left
+    right = files["network/50-good-can-r.link"]
+    assert "Property=ID_PATH=pci-0000:00:14.0-usb-0:2:1.0\n" in right
+    assert "BitRate=250000" in files["network/50-good-can_left.network"]
+    assert "BitRate=1000000" in files["network/50-good-can-r.network"]
+    unit = files["systemd/thorvaldc-good.service"]
+    assert "--bus left=socketcan:can_left,right=socketcan:can-r" in unit
+    assert (
+        r"Wants=sys-subsystem-net-devices-can_left.device sys-subsystem-net-devices-can\x2dr"
+        in (unit)
+    )
+
+
+def test_an_unknown_adapter_of_several_gets_no_name(tmp_path: Path) -> None:
+    """A rule without a device would give both adapters one name."""
+    files, codes = files_of(tmp_path, TWO_BUSES + "computer: {can: {left: {serial: A1}}}\n")
+    assert codes.count("computer-adapter") == 1
+    assert "network/50-good-can_left.link" in files
+    assert "network/50-good-can_right.link" not in files
+
+
+def test_ports_and_joystick_get_names(tmp_path: Path) -> None:
+    section = "computer: {ports: {lidar: {serial: L7}}, joystick: {serial: J1}}\n"
+    files, _ = files_of(tmp_path, GOOD + section)
+    head, lidar, joystick = files["udev/70-good.rules"].splitlines()
+    assert head.startswith("#")
+    assert lidar == (
+        'ACTION!="remove", SUBSYSTEM=="tty", ENV{ID_SERIAL_SHORT}=="L7", SYMLINK+="lidar", '
+        'GROUP="robot", MODE="0660"'
+    )
+    assert 'KERNEL=="js[0-9]*", ENV{ID_SERIAL_SHORT}=="J1", SYMLINK+="joystick"' in joystick
+
+
+def test_ros_starts_the_launch_file_of_the_package(tmp_path: Path) -> None:
+    section = "computer: {ros: {workspace: /opt/ws, domain: 7, middleware: rmw_zenoh_cpp}}\n"
+    files, _ = files_of(tmp_path, GOOD + section)
+    unit = files["systemd/thorvaldc-good.service"]
+    assert (
+        "ExecStart=/bin/bash -c 'source /opt/ros/jazzy/setup.bash && source /opt/ws/install/"
+        "setup.bash && exec ros2 launch good robot.launch.py bus:=socketcan:can_main'\n"
+    ) in unit
+    assert "Environment=ROS_DOMAIN_ID=7\n" in unit
+    assert "Environment=RMW_IMPLEMENTATION=rmw_zenoh_cpp\n" in unit

@@ -1,0 +1,218 @@
+"""The build target `computer`: the files that make a Linux computer that of a robot.
+
+systemd names the CAN interfaces and sets them up, gives serial ports and the joystick their names,
+and starts the base driver, alone or with ROS 2.  ``thorvaldc install`` puts the files in their
+places; the robot file and the files that it names are beside them, in ``FOLDER``.
+
+Sources: systemd.link(5), systemd.network(5), systemd.service(5), systemd.exec(5) of systemd 249;
+the properties of devices are those of udev's builtins `usb_id` and `path_id`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import PurePosixPath
+
+from thorvaldc.backends import Backend
+from thorvaldc.diagnostics import CODES, Diagnostic
+from thorvaldc.model import Robot
+from thorvaldc.model.robot_computer import CanAdapter, Computer, UsbDevice, interface_name
+
+FOLDER = "/etc/thorvaldc/{name}/current"
+"""Where the files of the robot ``name`` are on its computer."""
+STATE = "/var/lib/thorvaldc/{name}"
+"""Where the build of the robot ``name`` is on its computer; the service writes it."""
+CONTROL = "/run/thorvaldc/{name}/control"
+"""Control channel of the base driver of the robot ``name``, for `thorvaldc call` and `teleop`."""
+PLACES = {
+    "systemd": "/etc/systemd/system",
+    "network": "/etc/systemd/network",
+    "udev": "/etc/udev/rules.d",
+}
+"""Folders of the computer by the folders of this target."""
+QUEUE_LENGTH = 128
+"""Length of the send queue of a CAN interface: frames of some control cycles."""
+WATCHDOG = 2.0
+"""Time (s) without a control cycle after which systemd ends the base driver.
+
+The watchdogs of the drives stop the robot long before; this one removes a program that hangs.
+"""
+_HEAD = "# Made by thorvaldc for {robot}; `thorvaldc install` replaces it.\n"
+
+
+def name_on_computer(robot: Robot) -> str:
+    """Return the name of a robot in the paths and services of its computer."""
+    return re.sub("[^a-z0-9]+", "-", robot.name.lower()).strip("-") or "robot"
+
+
+def service_of(robot: Robot) -> str:
+    """Return the name of the service that starts the robot."""
+    return f"thorvaldc-{name_on_computer(robot)}.service"
+
+
+def computer_of(robot: Robot) -> Computer:
+    """Return the computer of a robot: that of the robot file, or one with the defaults."""
+    adapters = (CanAdapter(bus.name, interface_name(bus.name)) for bus in robot.buses)
+    return robot.computer or Computer(adapters=tuple(adapters))
+
+
+def bus_option(computer: Computer) -> str:
+    """Return the value of the option ``--bus`` for the CAN interfaces of a computer."""
+    several = len(computer.adapters) > 1
+    return ",".join(
+        f"{adapter.bus}=socketcan:{adapter.interface}"
+        if several
+        else f"socketcan:{adapter.interface}"
+        for adapter in computer.adapters
+    )
+
+
+class ComputerFiles(Backend):
+    name = "computer"
+    summary = "services of the robot's computer, names of its CAN interfaces and serial ports"
+
+    def emit(self, robot: Robot) -> dict[str, bytes]:
+        if not robot.buses:
+            return {}
+        computer = computer_of(robot)
+        name = name_on_computer(robot)
+        texts = {f"systemd/{service_of(robot)}": _service(robot, computer)}
+        bitrates = {bus.name: bus.bitrate for bus in robot.buses}
+        for adapter in computer.adapters:
+            path = f"network/50-{name}-{adapter.interface}"
+            if adapter.device != UsbDevice() or len(computer.adapters) == 1:
+                texts[f"{path}.link"] = _sections(
+                    ("Match", [("Type", "can"), *_properties(adapter.device)]),
+                    ("Link", [("Name", adapter.interface), ("TransmitQueueLength", QUEUE_LENGTH)]),
+                )
+            # Without RestartSec, the interface stays down after bus-off until somebody has looked
+            # for the cause: the driver reports it.
+            texts[f"{path}.network"] = _sections(
+                ("Match", [("Name", adapter.interface)]),
+                ("Link", [("RequiredForOnline", "no")]),
+                ("CAN", [("BitRate", bitrates[adapter.bus])]),
+            )
+        rules = list(_rules(computer))
+        if rules:
+            texts[f"udev/70-{name}.rules"] = "".join(f"{rule}\n" for rule in rules)
+        head = _HEAD.format(robot=" ".join(robot.name.split()))
+        return {f"computer/{path}": (head + text).encode() for path, text in texts.items()}
+
+    def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
+        if not robot.buses:
+            yield Diagnostic(
+                CODES["robot-without-controller"],
+                "no service can drive a robot without motor controllers",
+                robot.span,
+            )
+
+
+def _sections(*sections: tuple[str, list[tuple[str, object]]]) -> str:
+    """Return the text of a configuration file of systemd."""
+    return "\n".join(
+        f"[{title}]\n" + "".join(f"{key}={value}\n" for key, value in entries)
+        for title, entries in sections
+    )
+
+
+def _properties(device: UsbDevice) -> Iterator[tuple[str, object]]:
+    for key, value in (("ID_SERIAL_SHORT", device.serial), ("ID_PATH", device.path)):
+        if value:
+            yield "Property", f"{key}={value}"
+
+
+def _rules(computer: Computer) -> Iterator[str]:
+    """Yield the rules of udev that name serial ports and the joystick."""
+    devices = [("tty", "", name, device) for name, device in computer.ports]
+    if computer.joystick is not None:
+        devices.append(("input", 'KERNEL=="js[0-9]*", ', "joystick", computer.joystick))
+    for subsystem, kernel, name, device in devices:
+        matches = "".join(
+            f'ENV{{{key}}}=="{value}", '
+            for _, pair in _properties(device)
+            for key, value in [str(pair).split("=", 1)]
+        )
+        yield (
+            f'ACTION!="remove", SUBSYSTEM=="{subsystem}", {kernel}{matches}SYMLINK+="{name}", '
+            f'GROUP="{computer.user}", MODE="0660"'
+        )
+
+
+def _service(robot: Robot, computer: Computer) -> str:
+    """Return the unit that starts the base driver, alone or with ROS 2.
+
+    The unit builds the robot file before it starts, as the user of the service.  If the file has
+    errors, the last build is used, and the errors are in the journal.
+    """
+    name = name_on_computer(robot)
+    state, folder = STATE.format(name=name), FOLDER.format(name=name)
+    file = PurePosixPath(robot.span.file).name
+    # Devices of network interfaces, with the escapes of systemd.unit(5).
+    devices = " ".join(
+        f"sys-subsystem-net-devices-{adapter.interface.replace('-', chr(92) + 'x2d')}.device"
+        for adapter in computer.adapters
+    )
+    start = (
+        f"{computer.program} run {state}/model.json --bus {bus_option(computer)} "
+        f"--name {CONTROL.format(name=name)}"
+    )
+    entries: list[tuple[str, object]] = [
+        ("User", computer.user),
+        ("SupplementaryGroups", "dialout input"),
+        ("WorkingDirectory", f"{folder}/robot"),
+        ("StateDirectory", state.removeprefix("/var/lib/")),
+        ("RuntimeDirectory", f"thorvaldc/{name}"),
+    ]
+    if computer.ros is None:
+        entries += [
+            ("Type", "notify"),
+            ("WatchdogSec", f"{WATCHDOG:g}"),
+            # The `-` lets the service start with the last build if the file has errors.
+            ("ExecStartPre", f"-{computer.program} build {file} --target can -o {state}"),
+            ("ExecStart", start),
+            ("CPUSchedulingPolicy", "fifo"),
+            ("CPUSchedulingPriority", "20"),
+            ("MemoryMax", "1G"),
+        ]
+    else:
+        setups = [f"/opt/ros/{robot.ros.distro}", f"{computer.ros.workspace}/install"]
+        sources = " && ".join(f"source {setup}/setup.bash" for setup in setups)
+        launch = f"ros2 launch {robot.ros.package} robot.launch.py bus:={bus_option(computer)}"
+        entries += [
+            ("Type", "exec"),
+            ("Environment", f"ROS_DOMAIN_ID={computer.ros.domain}"),
+            ("Environment", f"ROS_LOG_DIR={state}/log"),
+        ]
+        if computer.ros.middleware:
+            entries.append(("Environment", f"RMW_IMPLEMENTATION={computer.ros.middleware}"))
+        entries += [("ExecStart", f"/bin/bash -c '{sources} && exec {launch}'")]
+    entries += [
+        # SIGINT ends the launch of ROS 2, and the runtime stops the robot on it.
+        ("KillSignal", "SIGINT"),
+        ("SuccessExitStatus", "130"),
+        ("TimeoutStopSec", "10"),
+        ("Restart", "on-failure"),
+        ("RestartSec", "2"),
+        ("LimitRTPRIO", "30"),
+        ("LimitNOFILE", "4096"),
+        ("NoNewPrivileges", "yes"),
+        ("ProtectSystem", "strict"),
+        ("ProtectHome", "yes"),
+        ("RestrictSUIDSGID", "yes"),
+    ]
+    return _sections(
+        (
+            "Unit",
+            [
+                ("Description", f"Base driver of {' '.join(robot.name.split())} (thorvaldc)"),
+                ("Wants", devices),
+                ("After", f"systemd-networkd.service time-sync.target {devices}".strip()),
+                # Five starts within a minute, then a person looks for the cause.
+                ("StartLimitIntervalSec", "60"),
+                ("StartLimitBurst", "5"),
+            ],
+        ),
+        ("Service", entries),
+        ("Install", [("WantedBy", "multi-user.target")]),
+    )

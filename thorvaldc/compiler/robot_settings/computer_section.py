@@ -1,0 +1,115 @@
+"""Reads the section `computer` of a robot document: its adapters, serial ports and services."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from thorvaldc.compiler.source.node import Node, insertion
+from thorvaldc.compiler.values.document_section import Section
+from thorvaldc.diagnostics import FIRST_USE, Label, Report, Span, did_you_mean
+from thorvaldc.model import Bus
+from thorvaldc.model.robot_computer import (
+    CanAdapter,
+    Computer,
+    RosStart,
+    UsbDevice,
+    interface_name,
+)
+
+
+def read_computer(section: Section, buses: Sequence[Bus], report: Report) -> Computer:
+    """Returns the computer of a robot with a section ``computer``.
+
+    Each bus gets an adapter.  Reports adapters of unknown buses, devices and names that occur
+    twice, and buses whose adapter nothing proves.
+    """
+    adapters = _adapters(section, buses, report)
+    ports = tuple((name, _device(entry)) for name, entry in section["ports"].items())
+    joystick = _device(section["joystick"]) if "joystick" in section else None
+    _check_devices(section, report)
+    ros = section["ros"]
+    return Computer(
+        section["user"],
+        section["program"],
+        adapters,
+        ports,
+        joystick,
+        RosStart(ros["workspace"], ros["domain"], ros["middleware"]) if "ros" in section else None,
+    )
+
+
+def _device(entry: Section) -> UsbDevice:
+    return UsbDevice(entry["serial"], entry["path"])
+
+
+def _adapters(section: Section, buses: Sequence[Bus], report: Report) -> tuple[CanAdapter, ...]:
+    stated = dict(section["can"].items())
+    names = [bus.name for bus in buses]
+    for name, entry in stated.items():
+        if name not in names:
+            report.add(
+                "can-bus-unknown",
+                f"the robot has no bus `{name}`",
+                entry.node.where,
+                hint=did_you_mean(name, names, f"its buses: {', '.join(names)}"),
+            )
+    adapters = []
+    interfaces: dict[str, Span] = {}
+    for bus in buses:
+        entry = stated.get(bus.name)
+        interface = (entry["interface"] if entry else "") or interface_name(bus.name)
+        device = _device(entry) if entry else UsbDevice()
+        node = entry.node if entry else section.entry("can")
+        first = interfaces.setdefault(interface, node.where)
+        if first is not node.where:
+            _report_twice(f"the interface name `{interface}`", first, node.where, report)
+        adapters.append(CanAdapter(bus.name, interface, device))
+        if len(buses) > 1 and device == UsbDevice():
+            _report_unproven(bus.name, section, entry, report)
+    return tuple(adapters)
+
+
+def _report_unproven(bus: str, section: Section, entry: Section | None, report: Report) -> None:
+    """Warns of one of several buses whose adapter the file does not distinguish."""
+    hint = f"state the `serial` or the `path` of the adapter: `can: {{{bus}: {{serial: ...}}}}`"
+    if entry is not None:
+        hint = insertion(
+            "add its serial number, as `udevadm info -q property /sys/class/net/can0` prints it",
+            entry.node,
+            "serial",
+            '"004A00345551501720303658"',
+            is_example=True,
+        )
+    report.add(
+        "computer-adapter",
+        f"nothing says which CAN adapter is that of the bus `{bus}`: Linux numbers them in the"
+        " order in which it finds them",
+        (entry or section).node.where,
+        hint=hint,
+    )
+
+
+def _check_devices(section: Section, report: Report) -> None:
+    """Reports a serial number or a connector that two devices have."""
+    entries = [*section["can"].items(), *section["ports"].items()]
+    if "joystick" in section:
+        entries.append(("joystick", section["joystick"]))
+    places: dict[tuple[str, str], Node] = {}
+    for _, entry in entries:
+        for key in ("serial", "path"):
+            value = entry.node.get(key)
+            if value is None:
+                continue
+            first = places.setdefault((key, str(value.value)), value)
+            if first is not value:
+                _report_twice(f"the {key} `{value.value}`", first.span, value.span, report)
+
+
+def _report_twice(what: str, first: Span, second: Span, report: Report) -> None:
+    report.add(
+        "computer-device-twice",
+        f"two devices of the computer have {what}",
+        second,
+        hint="correct one of them",
+        labels=[Label(first, FIRST_USE)],
+    )

@@ -1,0 +1,12 @@
+"""Installs a robot on its computer, and removes it; begin at ``installed_versions``."""
+
+from thorvaldc.tool_folders import CommandEntry
+
+COMMANDS = (
+    CommandEntry(
+        "install", "install_commands:install", "Install a robot on its computer: services, names."
+    ),
+    CommandEntry(
+        "uninstall", "install_commands:uninstall", "Remove an installed robot from its computer."
+    ),
+)

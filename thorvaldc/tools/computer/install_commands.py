@@ -1,0 +1,161 @@
+"""The commands ``thorvaldc install`` and ``uninstall``, on the computer of a robot."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pwd
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from thorvaldc.cli import options
+from thorvaldc.cli.diagnostic_output import message
+from thorvaldc.cli.exits import DONE, OutsideError, write_errors
+from thorvaldc.cli.robot_file import load_robot
+from thorvaldc.diagnostics import did_you_mean
+
+if TYPE_CHECKING:
+    from thorvaldc.model import Robot
+
+Root = Annotated[
+    str,
+    typer.Option(
+        "--root",
+        metavar="DIR",
+        help="File system of another computer, such as a mounted image; starts nothing.",
+        show_default="this computer",
+    ),
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="List the changes and make none.")]
+
+
+def install(
+    file: options.RobotFile,
+    root: Root = "",
+    dry_run: DryRun = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
+) -> int:
+    from thorvaldc.backends.computer import CONTROL, name_on_computer, service_of
+    from thorvaldc.tools.computer.installed_versions import Computer, version_of
+
+    loaded = load_robot(file, library, trust)
+    robot, computer = loaded.robot, Computer(_root(root))
+    version = version_of(robot, Path(file), loaded.sources, computer.root)
+    plan = computer.plan(version)
+    if not plan:
+        message(f"{robot.name} is installed, and nothing has changed")
+        return DONE
+    current = computer.current(version.name)
+    for name in computer.edited(current) if current is not None else ():
+        message(f"note: {name} was edited on this computer; it stays in {current}")
+    print("\n".join(plan))
+    if dry_run:
+        return DONE
+    if not root:
+        _check_computer(robot)
+        _check_disarmed(CONTROL.format(name=name_on_computer(robot)))
+    with write_errors(computer.folder(version.name)):
+        computer.install(version)
+    if not root:
+        service = service_of(robot)
+        _reload(["systemctl", "restart", service])
+        message(f"journalctl -u {service} shows what it does; it is disarmed")
+    return DONE
+
+
+def uninstall(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="Name in /etc/thorvaldc.", show_default=False)
+    ],
+    root: Root = "",
+    dry_run: DryRun = False,
+) -> int:
+    from thorvaldc.backends.computer import CONTROL, FOLDER, STATE
+    from thorvaldc.tools.computer.installed_versions import Computer, installed_names
+
+    computer = Computer(_root(root))
+    names = installed_names(computer.root)
+    if name not in names:
+        near = did_you_mean(name, names, f"installed are: {', '.join(names) or 'none'}")
+        raise typer.BadParameter(f"`{name}` is not installed; {near}", param_hint="NAME")
+    links = computer.links_of(name)
+    folder = FOLDER.format(name=name).removesuffix("/current")
+    print("\n".join(f"remove {path}" for path in [*links, folder, STATE.format(name=name)]))
+    if dry_run:
+        return DONE
+    if not root:
+        _check_disarmed(CONTROL.format(name=name))
+        units = [Path(path).name for path in links if path.endswith(".service")]
+        _run(["systemctl", "stop", *dict.fromkeys(units)])
+    with write_errors(computer.folder(name)):
+        computer.uninstall(name)
+    if not root:
+        _reload()
+    return DONE
+
+
+def _root(root: str) -> Path:
+    if root and not Path(root).is_dir():
+        raise typer.BadParameter(f"there is no folder {root}", param_hint="'--root'")
+    return Path(root or "/")
+
+
+def _check_computer(robot: Robot) -> None:
+    """Raises ``OutsideError`` if the services could not start on this computer."""
+    from thorvaldc.backends.computer import computer_of
+
+    computer = computer_of(robot)
+    if sys.platform != "linux" or not Path("/run/systemd/system").is_dir():
+        raise OutsideError("this computer does not run systemd; --root installs to an image")
+    if os.geteuid() != 0:
+        raise OutsideError(f"only root may install services: sudo {computer.program} install ...")
+    if not os.access(computer.program, os.X_OK):
+        raise OutsideError(
+            f"there is no {computer.program}: python3 -m venv {Path(computer.program).parents[1]},"
+            " and install thorvaldc there; or state `program` in `computer`"
+        )
+    try:
+        pwd.getpwnam(computer.user)
+    except KeyError:
+        raise OutsideError(
+            f"there is no user `{computer.user}`: sudo useradd --system --user-group"
+            f" --groups dialout,input {computer.user}; or state `user` in `computer`"
+        ) from None
+
+
+def _check_disarmed(channel: str) -> None:
+    """Raises ``OutsideError`` if the base driver of the robot runs and is armed."""
+    from thorvaldc.runtime.control_channel import ControlClient
+
+    try:
+        client = ControlClient(channel)
+    except ConnectionError:
+        return  # no base driver runs
+    with contextlib.closing(client):
+        if client.call("state")["armed"]:
+            raise OutsideError(f"the robot is armed: thorvaldc call {channel} disarm")
+
+
+def _reload(*last: Sequence[str]) -> None:
+    """Lets systemd and udev read their files again, and runs the command ``last``."""
+    for command in (
+        ["systemctl", "daemon-reload"],
+        ["udevadm", "control", "--reload"],
+        ["udevadm", "trigger"],
+        ["networkctl", "reload"],
+        *last,
+    ):
+        _run(command)
+
+
+def _run(command: Sequence[str]) -> None:
+    try:
+        subprocess.run(command, check=True, timeout=120.0)
+    except (OSError, subprocess.SubprocessError) as error:
+        message(f"warning: {error}")
