@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import shutil
@@ -171,6 +172,20 @@ def test_refusals(root: Path, thorvaldc: Command) -> None:
         assert (refused.status, "cannot write" in refused.err) == (3, True)
 
 
+def test_the_status_of_a_robot_that_does_not_run(root: Path, thorvaldc: Command) -> None:
+    assert "no robot is installed" in thorvaldc("status", "--root", str(root)).err
+    thorvaldc("install", "good.yaml", "--root", str(root))
+    shown = thorvaldc("status", "--root", str(root))
+    assert shown.out == "good: version 1\n  the base driver does not run\n"
+    assert shown.status == 1
+    file = root / "etc/thorvaldc/good/versions/1/files/good.yaml"
+    file.write_text(GOOD.replace("modules:", "modulse:", 1), encoding="utf-8")
+    shown = thorvaldc("status", "--root", str(root), "--json")
+    (values,) = json.loads(shown.out)
+    assert values["edited"] == ["files/good.yaml"]
+    assert "`modulse`" in values["errors"][0]
+
+
 def test_this_computer_is_not_changed_without_systemd(root: Path, thorvaldc: Command) -> None:
     if Path("/run/systemd/system").is_dir():
         pytest.skip("this computer runs systemd")
@@ -195,7 +210,11 @@ def test_systemd_reads_the_unit(root: Path, thorvaldc: Command, more: str) -> No
 
 @pytest.mark.slow
 def test_the_start_line_drives_a_simulated_robot_disarmed(
-    root: Path, thorvaldc: Command, tmp_path: Path
+    root: Path,
+    thorvaldc: Command,
+    tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The lines of the unit run as they are, but for the program, the bus and the folders.
 
@@ -239,6 +258,24 @@ def test_the_start_line_drives_a_simulated_robot_disarmed(
                 check=True,
             )
             assert '"armed": false' in call.stdout
+            thorvaldc("install", "good.yaml", "--root", str(root))
+            (root / "run/thorvaldc/good").mkdir(parents=True)
+            (root / "run/thorvaldc/good/control").symlink_to(control)
+            (root / "var/lib/thorvaldc").mkdir(parents=True)
+            (root / "var/lib/thorvaldc/good").symlink_to(tmp_path / "state")
+            short = tmp_path_factory.mktemp("r") / "r"  # the path of a socket is short
+            short.symlink_to(root)
+            monkeypatch.chdir(short.parent)
+            shown = thorvaldc("status", "--root", "r")
+            assert "good: version 1\n  driver " in shown.out
+            assert ", not armed: " in shown.out
+            assert shown.status == 0
+            file = root / "etc/thorvaldc/good/versions/1/files/good.yaml"
+            file.write_text(GOOD + "driver: {rate: 20 Hz}\n", encoding="utf-8")
+            shown = thorvaldc("status", "good", "--root", "r")
+            assert "it runs another robot than its file describes" in shown.out
+            assert "edited on this computer: files/good.yaml" in shown.out
+            assert shown.status == 1
             driver.send_signal(signal.SIGSTOP)
             notified.settimeout(1.0)
             with contextlib.suppress(TimeoutError):

@@ -9,4 +9,7 @@ COMMANDS = (
     CommandEntry(
         "uninstall", "install_commands:uninstall", "Remove an installed robot from its computer."
     ),
+    CommandEntry(
+        "status", "install_commands:status", "Show what the installed robots of this computer do."
+    ),
 )

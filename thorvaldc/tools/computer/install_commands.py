@@ -1,4 +1,4 @@
-"""The commands ``thorvaldc install`` and ``uninstall``, on the computer of a robot."""
+"""The commands ``thorvaldc install``, ``uninstall`` and ``status``, on the computer of a robot."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thorvaldc.cli import options
-from thorvaldc.cli.diagnostic_output import message
-from thorvaldc.cli.exits import DONE, OutsideError, write_errors
+from thorvaldc.cli.diagnostic_output import message, print_json
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError, write_errors
 from thorvaldc.cli.robot_file import load_robot
 from thorvaldc.diagnostics import did_you_mean
 
@@ -80,10 +80,7 @@ def uninstall(
     from thorvaldc.tools.computer.installed_versions import Computer, installed_names
 
     computer = Computer(_root(root))
-    names = installed_names(computer.root)
-    if name not in names:
-        near = did_you_mean(name, names, f"installed are: {', '.join(names) or 'none'}")
-        raise typer.BadParameter(f"`{name}` is not installed; {near}", param_hint="NAME")
+    _check_installed(name, installed_names(computer.root))
     links = computer.links_of(name)
     folder = FOLDER.format(name=name).removesuffix("/current")
     print("\n".join(f"remove {path}" for path in [*links, folder, STATE.format(name=name)]))
@@ -98,6 +95,37 @@ def uninstall(
     if not root:
         _reload()
     return DONE
+
+
+def status(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="Name in /etc/thorvaldc; default: all.")
+    ] = "",
+    root: Root = "",
+    json: options.Json = False,
+) -> int:
+    from thorvaldc.tools.computer.installed_versions import Computer, installed_names
+    from thorvaldc.tools.computer.robot_status import is_well, robot_status, status_lines
+
+    computer = Computer(_root(root))
+    names = installed_names(computer.root)
+    if name:
+        _check_installed(name, names)
+    elif not names:
+        message("no robot is installed on this computer")
+    statuses = [robot_status(computer, n, is_live=not root) for n in names if name in ("", n)]
+    if json:
+        print_json(statuses)
+    else:
+        for each in statuses:
+            print("\n".join(status_lines(each)))
+    return DONE if statuses and all(map(is_well, statuses)) else INPUT
+
+
+def _check_installed(name: str, names: Sequence[str]) -> None:
+    if name not in names:
+        near = did_you_mean(name, names, f"installed are: {', '.join(names) or 'none'}")
+        raise typer.BadParameter(f"`{name}` is not installed; {near}", param_hint="NAME")
 
 
 def _root(root: str) -> Path:
@@ -135,7 +163,7 @@ def _check_disarmed(channel: str) -> None:
 
     try:
         client = ControlClient(channel)
-    except ConnectionError:
+    except OSError:
         return  # no base driver runs
     with contextlib.closing(client):
         if client.call("state")["armed"]:

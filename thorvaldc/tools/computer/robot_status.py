@@ -1,0 +1,119 @@
+"""What an installed robot does: its service, its base driver, and its files."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import re
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from thorvaldc.backends.computer import CONTROL, STATE
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.model import Robot
+from thorvaldc.model.model_json import model_hash
+from thorvaldc.tools.computer.installed_versions import Computer
+
+_PROPERTIES = ("ActiveState", "SubState", "ActiveEnterTimestamp", "NRestarts", "Result")
+
+
+def robot_status(computer: Computer, name: str, *, is_live: bool) -> dict[str, Any]:
+    """Returns the status of an installed robot as JSON values.
+
+    - ``version``: name of the installed version, or empty.
+    - ``edited``: files of the version that were edited on the computer.
+    - ``differs``: whether the base driver was started with another robot than the robot file
+      describes now, or ``None`` if there is no build or the file has errors.
+    - ``errors``: errors of the robot file.
+    - ``service``: properties of the unit as systemd names them, or empty if systemd does not
+      answer.
+    - ``driver``: result of the service `state` of the base driver, or ``None``.
+    - ``driver_error``: why the base driver does not answer.
+    """
+    current = computer.current(name)
+    status: dict[str, Any] = {
+        "name": name,
+        "version": current.name if current is not None else "",
+        "edited": computer.edited(current) if current is not None else [],
+        "differs": None,
+        "errors": [],
+        "service": {},
+        "driver": None,
+        "driver_error": "",
+    }
+    units = list((current or Path()).glob("computer/systemd/*.service")) if current else []
+    for unit in units:
+        if is_live:
+            status["service"] = _service(unit.name)
+        if match := re.search(r" build (\S+) --target", unit.read_text(encoding="utf-8")):
+            compilation = compile_file(unit.parents[2] / "robot" / match[1])
+            status["errors"] = [str(d.message) for d in compilation.report.errors]
+            built = computer.path(STATE.format(name=name)) / "model.json"
+            with contextlib.suppress(OSError):
+                if isinstance(compilation.model, Robot):
+                    digest = hashlib.sha256(built.read_bytes()).hexdigest()
+                    status["differs"] = digest != model_hash(compilation.model)
+    status["driver"], status["driver_error"] = _driver(
+        str(computer.path(CONTROL.format(name=name)))
+    )
+    return status
+
+
+def _service(unit: str) -> dict[str, str]:
+    command = ["systemctl", "show", unit, *(f"--property={name}" for name in _PROPERTIES)]
+    try:
+        shown = subprocess.run(command, capture_output=True, text=True, timeout=10.0, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return {}
+    return dict(line.split("=", 1) for line in shown.stdout.splitlines() if "=" in line)
+
+
+def _driver(channel: str) -> tuple[dict[str, Any] | None, str]:
+    from thorvaldc.runtime.control_channel import ControlClient
+    from thorvaldc.runtime.service_table import ServiceError
+
+    try:
+        with contextlib.closing(ControlClient(channel)) as client:
+            return client.call("state"), ""
+    except (OSError, ServiceError):
+        return None, "the base driver does not run"
+
+
+def is_well(status: dict[str, Any]) -> bool:
+    """Returns whether the base driver of a robot runs without a fault, from its robot file."""
+    driver = status["driver"]
+    return bool(driver and not driver["fault"] and not status["errors"] and not status["differs"])
+
+
+def status_lines(status: dict[str, Any]) -> list[str]:
+    """Returns the status of a robot for people."""
+    name, service, driver = status["name"], status["service"], status["driver"]
+    lines = [f"{name}: version {status['version'] or 'none'}"]
+    lines += [f"  edited on this computer: {file}" for file in status["edited"]]
+    lines += [f"  error in the robot file: {text}" for text in status["errors"]]
+    if status["differs"]:
+        build = f"{STATE.format(name=name)}/model.json"
+        lines.append(
+            f"  it runs another robot than its file describes: restart the service; `thorvaldc diff"
+            f" {build} ROBOT_FILE` shows the differences"
+        )
+    if service:
+        since = service.get("ActiveEnterTimestamp") or "never"
+        lines.append(
+            f"  service {service.get('ActiveState')} ({service.get('SubState')}), last start"
+            f" {since}, {service.get('NRestarts', '0')} restarts, result {service.get('Result')}"
+        )
+    if driver is None:
+        return [*lines, f"  {status['driver_error']}"]
+    state = "armed" if driver["armed"] else f"not armed: {driver['held'] or 'no reason'}"
+    lines.append(f"  driver {driver['mode']}, {state}, drives: {driver['source'] or 'nobody'}")
+    lines += [f"  FAULT {driver['fault']}"] if driver["fault"] else []
+    lines += [f"  locked by {', '.join(driver['locks'])}"] if driver["locks"] else []
+    lines += [f"  warning: {text}" for text in driver["warnings"]]
+    lines += [
+        f"  {battery}: {100.0 * values['charge']:.0f} %"
+        for battery, values in driver.get("batteries", {}).items()
+        if values.get("charge") is not None
+    ]
+    return lines
