@@ -1,4 +1,4 @@
-"""`modules fetch` brings a tag of a repository into the cache; `check` and `build` read it there."""
+"""`modules fetch` brings a tag of a repository into the cache, where other commands read it."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_a_tag_is_fetched_once_and_then_used_without_the_repository(
     }
     assert [path.name for path in vendor.cached()] == ["module.yaml"]
     shutil.rmtree(vendor.folder)
-    assert thorvaldc("check", "--strict", "robot.yaml").status == 0
+    assert thorvaldc("check", "robot.yaml").status == 0
     assert thorvaldc("build", "robot.yaml", "-o", "out").status == 0
     assert pins() == [pin], "a build keeps the pins"
     assert thorvaldc("build", "--check", "robot.yaml", "-o", "out").status == 0
