@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import glob
 import io
+import json
 import os
+import re
 import shutil
 import threading
 from pathlib import Path
@@ -16,6 +20,9 @@ from tests.full_disk import full_disk
 from tests.repository import commit_all, git
 from tests.tools.library_fetch.conftest import NAME, PART, Vendor
 from thorvaldc.compiler.pipeline import compile_file, load
+from thorvaldc.compiler.source.reader import read_file
+from thorvaldc.diagnostics import Report
+from thorvaldc.tools.language_server.module_view import ModuleView
 from thorvaldc.tools.library_fetch import git_repository
 
 LOCK = Path("robot.lock.yaml")
@@ -315,13 +322,70 @@ def test_two_robots_fetch_at_once(thorvaldc: Command, vendor: Vendor) -> None:
     assert len(vendor.cached()) == 1
 
 
-def test_other_documents_are_named(thorvaldc: Command, vendor: Vendor) -> None:
-    Path("fleet.yaml").write_text("thorvaldc: 1\nfleet: f\nrobots: {a: {robot: robot.yaml}}\n")
-    called = thorvaldc("modules", "fetch", "fleet.yaml")
-    assert called.status == 1
-    assert "fleet.yaml:1:1: error[TV" in called.err
-    assert "no library from" in thorvaldc("modules", "fetch", "good.yaml").out
+def test_a_fleet_names_robots_with_libraries(thorvaldc: Command, vendor: Vendor) -> None:
+    fleet = (
+        "thorvaldc: 1\nname: f\nrobots: {a: {robot: robot.yaml}, b: {robot: good.yaml, y: 5 m}}\n"
+    )
+    Path("fleet.yaml").write_text(fleet)
+    assert thorvaldc("modules", "fetch", "fleet.yaml").status == 0
+    assert thorvaldc("check", "fleet.yaml").status == 0
+    assert len(pins()) == 1
+
+
+def test_files_without_libraries(thorvaldc: Command, vendor: Vendor) -> None:
+    called = thorvaldc("modules", "fetch", "good.yaml")
+    assert (called.status, called.out) == (0, "no robot names a repository or an archive\n")
     assert "file-not-found" in thorvaldc("modules", "fetch", "nothing.yaml").err
+    assert thorvaldc("modules", "fetch", "nothing.yaml").status == 1
+
+
+def test_modules_list_shows_origin_and_version(thorvaldc: Command, vendor: Vendor) -> None:
+    assert "TV702" in thorvaldc("modules", "list", "robot.yaml").err
+    thorvaldc("modules", "fetch", "robot.yaml")
+    (pin,) = pins()
+    shown = thorvaldc("modules", "list", "robot.yaml").out
+    assert "<vendor@v1.2>: A plate of the vendor." in shown
+    assert f"\n<vendor@v1.2>  {vendor.url}, commit {pin['commit'][:12]}\n" in shown
+    listed = json.loads(thorvaldc("modules", "list", "robot.yaml", "--json").out)
+    by_type = {module["type"]: module for module in listed}
+    assert by_type["top/plate"]["library"] == "<vendor@v1.2>"
+    assert by_type["top/plate"]["origin"] == pin
+    assert by_type["drive/standard"]["library"] == "<library>"
+    assert "origin" not in by_type["drive/standard"]
+    fetched = json.loads(thorvaldc("modules", "fetch", "--json", "robot.yaml").out)
+    assert fetched["libraries"] == [pin]
+
+
+def test_the_source_of_a_number_has_a_readable_place(thorvaldc: Command, vendor: Vendor) -> None:
+    thorvaldc("modules", "fetch", "robot.yaml")
+    shown = thorvaldc("why", "robot.yaml", "links.plate_body.inertial.mass").out
+    assert "  <vendor@v1.2>/top/plate/module.yaml:7:" in shown
+    assert str(vendor.cache) not in shown
+
+
+def test_an_editor_reads_fetched_modules(thorvaldc: Command, vendor: Vendor) -> None:
+    thorvaldc("modules", "fetch", "robot.yaml")
+    for path in (Path("robot.yaml"), Path("robot.yaml").resolve()):
+        tree = read_file(path, path.name, Report())
+        assert "top/plate" in ModuleView("robot", path, tree, ()).library.names()
+
+
+def test_a_new_project_is_a_library_for_others(thorvaldc: Command, vendor: Vendor) -> None:
+    """The template of a repository: made, checked as in its CI, tagged, fetched and built."""
+    assert thorvaldc("new", "farm", "--project").status == 0
+    with contextlib.chdir("farm"):
+        script = yaml.safe_load(Path(".gitlab-ci.yml").read_text())["check"]["script"]
+        for line in script[1:4]:
+            words = [path for word in line.split()[1:] for path in glob.glob(word) or [word]]
+            assert thorvaldc(*words).status == 0, line
+    commit_all(Path("farm"))
+    git(Path("farm"), "tag", "v1.0")
+    readme = Path("farm/README.md").read_text()
+    (entry,) = re.findall(r"`library: \[(.*)\]`", readme)
+    vendor.robot(entry.replace("https://...", Path("farm").resolve().as_uri()))
+    assert thorvaldc("modules", "fetch", "robot.yaml").status == 0
+    assert thorvaldc("build", "robot.yaml", "-o", "out").status == 0
+    assert plate_mass() == 2.0
 
 
 def test_the_first_library_of_the_list_has_precedence(thorvaldc: Command, vendor: Vendor) -> None:

@@ -56,10 +56,10 @@ class FetchedLibrary(NamedTuple):
         name = re.sub(r"[^\w.+-]", "_", last) or "library"
         return f"{name}@{self.tag}" if self.tag else name
 
-    def entry(self, **more: str) -> str:
-        """YAML text of the entry, with further keys."""
-        stated = {key: value for key, value in self._asdict().items() if value}
-        return yaml_text(stated | {key: value for key, value in more.items() if value})
+    @property
+    def document(self) -> dict[str, str]:
+        """The keys of the entry with their values."""
+        return {key: value for key, value in self._asdict().items() if value}
 
 
 class LibraryPin(NamedTuple):
@@ -76,9 +76,25 @@ class LibraryPin(NamedTuple):
         return f"<{self.library.name}{version}>"
 
     @property
+    def document(self) -> dict[str, str]:
+        """The keys of the entry in the lock file with their values."""
+        commit = {"commit": self.commit} if self.commit else {}
+        return self.library.document | commit | {"sha256": self.sha256}
+
+    @property
     def line(self) -> str:
         """Line of the lock file."""
-        return f"  - {self.library.entry(commit=self.commit, sha256=self.sha256)}\n"
+        return f"  - {yaml_text(self.document)}\n"
+
+    @property
+    def version(self) -> str:
+        """Commit or content for people."""
+        return f"commit {self.commit[:12]}" if self.commit else f"content {self.sha256[:12]}"
+
+    @property
+    def origin(self) -> str:
+        """Address and version for people."""
+        return f"{self.library.git or self.library.archive}, {self.version}"
 
 
 def cache_folder() -> Path:

@@ -15,7 +15,7 @@ import typer
 
 from thorvaldc.cli import options
 from thorvaldc.cli.diagnostic_output import DiagnosticOutput, count, message
-from thorvaldc.cli.exits import closing_when_terminated, write_errors
+from thorvaldc.cli.exits import DONE, closing_when_terminated, write_errors
 from thorvaldc.diagnostics import DiagnosticError, Report
 
 if TYPE_CHECKING:
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 def fetch(
     files: Annotated[
-        list[str], typer.Argument(metavar="FILE", help="A robot file; several are possible.")
+        list[str],
+        typer.Argument(metavar="FILE", help="A robot file, or a fleet or scenario with robots."),
     ],
     update: Annotated[
         bool,
@@ -40,9 +41,12 @@ def fetch(
     output = DiagnosticOutput("json" if json else "text", sys.stderr)
     libraries: list[dict[str, Any]] = []
     with closing_when_terminated():
-        for file in without_lock_files(files):
-            libraries += fetch_libraries(Path(file), update, output)
-    return output.finish(libraries=libraries)
+        for path in dict.fromkeys(map(Path, without_lock_files(files))):
+            libraries += fetch_libraries(path, update, output)
+    status = output.finish(libraries=libraries)
+    if status == DONE and not libraries:
+        output.result("no robot names a repository or an archive")
+    return status
 
 
 def fetch_libraries(path: Path, update: bool, output: DiagnosticOutput) -> list[dict[str, Any]]:
@@ -57,22 +61,33 @@ def fetch_libraries(path: Path, update: bool, output: DiagnosticOutput) -> list[
     source, report = SourceFile(path, path.name or str(path), path.parent), Report()
     compilation = Compilation.of(source)
     rows: list[dict[str, Any]] = []
-    if source.document is not None and source.kind != "robot":
-        text = f"this is a {source.kind} document; name the files of its robots"
-        report.add("other-document", text, source.document.span)
+    if source.kind != "robot":
+        for robot in _robots_of(path):
+            rows += fetch_libraries(robot, update, output)
     elif source.document is not None:
-        document = source.check_shape(source.document)
-        entries = list(fetched_libraries(document))
+        entries = list(fetched_libraries(source.check_shape(source.document)))
         for name, file in source.files.items():
             own = [(library, node) for library, node in entries if node.span.file == name]
             rows += _fetch_own(own, file, name, update, report, output)
-        if not entries and not source.shape.has_errors:
-            output.result(f"{path}: no library from a repository or an archive")
     errors = Report()
     for part in (source.shape, report):
         errors.extend(compilation.located(part))
     output.add(errors, {os.path.normpath(file): file for file in source.files.values()})
     return rows
+
+
+def _robots_of(path: Path) -> list[Path]:
+    """Returns the robot files with libraries that a fleet or scenario names."""
+    from thorvaldc.compiler.pipeline import compile_file
+    from thorvaldc.compiler.result import SourceFile
+
+    files = dict.fromkeys(compile_file(path).files.values())
+    sources = [SourceFile(file, file.name, file.parent) for file in files if file != path]
+    return [
+        source.path
+        for source in sources
+        if source.document is not None and source.kind == "robot" and source.document.get("library")
+    ]
 
 
 def _fetch_own(
@@ -107,10 +122,8 @@ def _fetch_own(
                 continue
             text = f"{count(len(types), 'module')}, such as {types[0]}"
         pins.append(new)
-        version = f"commit {new.commit[:12]}" if new.commit else f"content {new.sha256[:12]}"
-        output.result(f"{library.name}: {text}, {version}")
-        stated = {key: value for key, value in library._asdict().items() if value}
-        rows.append(stated | {"commit": new.commit, "sha256": new.sha256})
+        output.result(f"{library.name}: {text}, {new.version}")
+        rows.append(new.document)
     if pins != old:
         _write_lock(file, pins, report, output)
     return rows
