@@ -333,7 +333,8 @@ def library_folders_of(
     fetched = {node.span: library for library, node in fetched_libraries(document)}
     for node in items(document.get("library")):
         if node.span in fetched:
-            robot = files.get(node.span.file) or base_dir / node.span.file
+            first = next(iter(files.values()), base_dir / node.span.file)
+            robot = files.get(node.span.file, first)  # `--set` is no file
             pinned = pinned_folder(fetched[node.span], node, robot, report)
             folders += [pinned] if pinned is not None else []
             continue

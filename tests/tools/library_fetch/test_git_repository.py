@@ -323,10 +323,8 @@ def test_two_robots_fetch_at_once(thorvaldc: Command, vendor: Vendor) -> None:
 
 
 def test_a_fleet_names_robots_with_libraries(thorvaldc: Command, vendor: Vendor) -> None:
-    fleet = (
-        "thorvaldc: 1\nname: f\nrobots: {a: {robot: robot.yaml}, b: {robot: good.yaml, y: 5 m}}\n"
-    )
-    Path("fleet.yaml").write_text(fleet)
+    robots = "{a: {robot: robot.yaml}, b: {robot: good.yaml, xyz: [0, 5 m, 0]}}"
+    Path("fleet.yaml").write_text(f"thorvaldc: 1\nname: f\nrobots: {robots}\n")
     assert thorvaldc("modules", "fetch", "fleet.yaml").status == 0
     assert thorvaldc("check", "fleet.yaml").status == 0
     assert len(pins()) == 1
