@@ -5,26 +5,34 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
+IDENTITY = ("-c", "user.name=Test", "-c", "user.email=test@example.org")
+
 
 def commit_all(folder: Path, message: str = "all") -> None:
     """Commits every file of a folder, which becomes a repository if it is none."""
     if not (folder / ".git").exists():
-        _git(folder, "init", "--quiet", "--initial-branch=main")
-    _git(folder, "add", "--all")
-    identity = ("-c", "user.name=Test", "-c", "user.email=test@example.org")
+        git(folder, "init", "--quiet", "--initial-branch=main")
+    git(folder, "add", "--all")
     options = ("--quiet", "--allow-empty", "--no-gpg-sign", "--no-verify")
-    _git(folder, *identity, "commit", *options, "-m", message)
+    git(folder, "commit", *options, "-m", message)
 
 
 def lose_files(folder: Path) -> None:
     """Removes the files and folders of all commits from a repository, but not the commits."""
-    commits = _git(folder, "rev-list", "--all").split()
+    commits = git(folder, "rev-list", "--all").split()
     for path in (folder / ".git" / "objects").glob("??/*"):
         if path.parent.name + path.name not in commits:
             path.unlink()
 
 
-def _git(folder: Path, *arguments: str) -> str:
+def git(folder: Path, *arguments: str, text: str = "") -> str:
+    """Calls git in a folder with an input, and returns its output."""
     return subprocess.run(
-        ["git", *arguments], cwd=folder, check=True, capture_output=True, timeout=300, text=True
+        ["git", *IDENTITY, *arguments],
+        cwd=folder,
+        check=True,
+        input=text,
+        capture_output=True,
+        timeout=300,
+        text=True,
     ).stdout

@@ -99,7 +99,10 @@ RUN = "--bus virtual --fast --duration 0.1"
 @functools.cache
 def kinds() -> tuple[Kind, ...]:
     """Returns all kinds of files."""
-    return (*_documents(), *_bus_files(), *_logs(), *_shapes(), *_others(), *_audited())
+    from tests.fuzz.library_archives import library_kinds  # which needs `Kind`
+
+    known = (*_documents(), *_bus_files(), *_logs(), *_shapes(), *_others(), *_audited())
+    return (*known, *library_kinds())
 
 
 def _read(path: str) -> bytes:
@@ -268,10 +271,8 @@ def _documents() -> list[Kind]:
         Kind(
             "fleet",
             (
-                "check fleet.yaml",
-                "build fleet.yaml -o out",
+                *("check fleet.yaml", "build fleet.yaml -o out", "info fleet.yaml"),
                 "sim fleet.yaml --ideal --duration 0.1",
-                "info fleet.yaml",
             ),
             [("fleet.yaml", fleet_files), ("robot.yaml", fleet_files)],
             YAML,

@@ -177,6 +177,7 @@ def _run_child(case: Case, folder: Path) -> None:
         )
         os.chdir(folder / "work")
         os.environ |= {"TMPDIR": str(folder / "tmp"), "XDG_RUNTIME_DIR": str(folder / "tmp")}
+        os.environ["XDG_CACHE_HOME"] = str(folder / "cache")
         tempfile.tempdir = None
         sys.path.append(str(folder / "work/plugins"))
         sys.argv = ["thorvaldc", *case.command.split()]

@@ -61,7 +61,7 @@ def check(
         bool, typer.Option("--verbose", "-v", help="Show accepted warnings with their reasons.")
     ] = False,
 ) -> int:
-    from thorvaldc.compiler.bus.node_ids import without_lock_files
+    from thorvaldc.compiler.source.lock_file import without_lock_files
 
     format = "json" if json else format
     if format != "badge":
@@ -294,10 +294,10 @@ def build(
     ] = False,
 ) -> int:
     from thorvaldc import __version__
-    from thorvaldc.compiler.bus.node_ids import without_lock_files
     from thorvaldc.compiler.output.build_freshness import check_freshness
     from thorvaldc.compiler.output.writer import WriteError, listed_files, write_locks
     from thorvaldc.compiler.pipeline import compile_file
+    from thorvaldc.compiler.source.lock_file import without_lock_files
 
     format = "json" if json else format
     check_format(format)

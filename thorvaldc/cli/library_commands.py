@@ -3,9 +3,10 @@ Schemas, and the module types of a library."""
 
 from __future__ import annotations
 
+import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,6 +26,7 @@ from thorvaldc.cli.options import module_types, preset_names, schema_kinds
 from thorvaldc.diagnostics import Report, Span, nearest
 
 if TYPE_CHECKING:
+    from thorvaldc.compiler.modules.fetched_library import LibraryPin
     from thorvaldc.compiler.modules.library import Library, ModuleType
 
 
@@ -185,33 +187,91 @@ def _library(folders: Sequence[str]) -> Library:
     return Library([(folder, str(folder)) for folder in options.library_folders(folders)])
 
 
-def list_modules(json: options.Json = False, library: options.Library = []) -> int:  # noqa: B006
+def list_modules(
+    robot: Annotated[
+        str,
+        typer.Argument(
+            metavar="[ROBOT]", help="Also list the libraries of this robot.", show_default=False
+        ),
+    ] = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+) -> int:
     from thorvaldc.compiler.source.node import Node
 
-    module_library = _library(library)
-    report = Report()
+    report, sources = Report(), dict[str, Path]()
+    pins: dict[str, LibraryPin] = {}
+    if robot:
+        module_library, pins = _library_of_robot(robot, library, report, sources)
+    else:
+        module_library = _library(library)
     loaded = [
         module_library.load(name, Node(name, Span("command line")), report)
         for name in module_library.names()
     ]
     modules = [module for module in loaded if module is not None]
-    status = show_report(report, module_library.files)
+    status = show_report(report, {**sources, **module_library.files})
     if json:
-        print_json([_module_document(module) for module in modules])
-    else:
-        print_table((module.name, module.summary) for module in modules)
+        print_json([_module_document(module, pins) for module in modules])
+        return status
+    print_table((m.name, f"{_origin(m, bool(robot))}{m.summary}") for m in modules)
+    if pins:
+        print("\nlibraries:")
+    for display, pin in pins.items():
+        print(f"{display}  {pin.origin}")  # an address remains in one line
     return status
 
 
-def _module_document(module: ModuleType) -> dict[str, Any]:
+def _library_of_robot(
+    robot: str, library: Sequence[str], report: Report, sources: dict[str, Path]
+) -> tuple[Library, dict[str, LibraryPin]]:
+    """Returns the library of a robot file, and the fetched libraries by their names in diagnostics.
+
+    ``report``, ``sources``: the function adds the diagnostics of the file and their files.
+    """
+    from thorvaldc.compiler.modules.fetched_library import read_pins
+    from thorvaldc.compiler.modules.library import Library
+    from thorvaldc.compiler.pipeline import library_folders_of
+    from thorvaldc.compiler.result import Compilation, SourceFile
+
+    path = Path(robot)
+    source, errors = SourceFile(path, path.name or robot, path.parent), Report()
+    folders = options.library_folders(library)
+    named = [(folder, str(folder)) for folder in folders]
+    if source.document is not None:
+        document = source.check_shape(source.document)
+        named = library_folders_of(document, path.parent, folders, errors, source.files)
+    compilation = Compilation.of(source)
+    for part in (source.shape, errors):
+        report.extend(compilation.located(part))
+    sources.update({os.path.normpath(file): file for file in source.files.values()})
+    all_pins = [p for name, file in source.files.items() for p in read_pins(file, name, Report())]
+    used = {display for _, display in named}
+    pins = {pin.display: pin for pin in all_pins if pin.display in used}
+    return Library(named, path.parent), pins
+
+
+def _origin(module: ModuleType, is_shown: bool) -> str:
+    """Returns the library folder of a module type that is not built in, before its summary."""
+    from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY
+
+    folder = module.library_display
+    return f"{folder}: " if is_shown and folder != BUILTIN_LIBRARY else ""
+
+
+def _module_document(module: ModuleType, pins: Mapping[str, LibraryPin]) -> dict[str, Any]:
     """Returns the description, parameters, ports and mount kinds of a module type as JSON values.
 
-    ``fits`` lists the kinds of ports that the module can be mounted on.
+    ``fits`` lists the kinds of ports that the module can be mounted on.  ``pins``: the fetched
+    libraries, whose address, version and content are ``origin``.
     """
     document = module.document.plain()
+    pin = pins.get(module.library_display)
     return {
         "type": module.name,
         "category": module.category,
+        "library": module.library_display,
+        **({"origin": pin.document} if pin is not None else {}),
         "description": document.get("description", ""),
         "params": document.get("params", {}),
         "ports": document.get("ports", {}),

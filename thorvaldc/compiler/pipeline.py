@@ -30,10 +30,15 @@ from typing import TYPE_CHECKING
 
 from thorvaldc.compiler.bus.assemble_buses import remembered_buses
 from thorvaldc.compiler.bus.bus_checks import check_sides
-from thorvaldc.compiler.bus.node_ids import Lock, has_pins, lock_path, lock_text, read_lock
+from thorvaldc.compiler.bus.node_ids import Lock, address_lines, chosen_ids, read_lock
 from thorvaldc.compiler.bus.stopping_distance import check_stops_on_slope
 from thorvaldc.compiler.elaborate import elaborate
 from thorvaldc.compiler.hardware.wheel_geometry import check_steering_axes
+from thorvaldc.compiler.modules.fetched_library import (
+    fetched_libraries,
+    pinned_folder,
+    read_pins,
+)
 from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.result import Compilation, Compile, SourceFile, read_acceptances
@@ -47,6 +52,7 @@ from thorvaldc.compiler.source.input_file import (
     report_missing,
     unsaved_texts,
 )
+from thorvaldc.compiler.source.lock_file import lock_path, lock_text
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.overrides import Change, read_changes
 from thorvaldc.compiler.source.reader import MAX_BYTES, read_file
@@ -226,7 +232,7 @@ def compile_robot(source: SourceFile, library: Sequence[Path], trust: bool = Fal
             check_purpose(model, document, report)
             check_sides(model, instance, report)
             check_steering_axes(model, report)
-            lock_file = update_robot_lock(source, model, compilation)
+            lock_file = update_robot_lock(source, model, document, compilation)
         check_calculator(model, document, report)
         compilation.model = model
     return compilation.complete(source, report, lock_file=lock_file)
@@ -320,10 +326,20 @@ def library_folders_of(
     """Returns the path of each library folder, and the name of the folder in diagnostics.
 
     The library folders that the document names are followed by the library folders of the user.
-    ``files``: paths of the file of the document, and of those of its design, by their names.
+    Those of repositories and archives are in the cache, see ``pinned_folder``.  ``files``: paths of
+    the file of the document, and of those of its design, by their names.
     """
     folders: list[tuple[Path, str]] = []
+    fetched = {node.span: library for library, node in fetched_libraries(document)}
     for node in items(document.get("library")):
+        if node.span in fetched:
+            first = next(iter(files.values()), base_dir / node.span.file)
+            robot = files.get(node.span.file, first)  # `--set` is no file
+            pinned = pinned_folder(fetched[node.span], node, robot, report)
+            folders += [pinned] if pinned is not None else []
+            continue
+        if not isinstance(node.value, str):
+            continue
         start, prefix = folder_of(node, files, base_dir), posixpath.dirname(node.span.file)
         folder = start / str(node.value)
         if os.path.isdir(folder):
@@ -365,7 +381,9 @@ def read_robot_lock(source: SourceFile, compilation: Compilation, report: Report
     return read_lock(document, report) if document is not None else {}
 
 
-def update_robot_lock(source: SourceFile, robot: Robot, compilation: Compilation) -> str:
+def update_robot_lock(
+    source: SourceFile, robot: Robot, document: Node, compilation: Compilation
+) -> str:
     """Returns the new text of the lock file, or ``""`` if the robot needs no lock file.
 
     If the new text differs from the lock file on the disk, the new text is added to
@@ -374,9 +392,13 @@ def update_robot_lock(source: SourceFile, robot: Robot, compilation: Compilation
     """
     path = lock_path(source.path)
     was_read = os.path.normpath(path) in compilation.sources
-    if not was_read and not has_pins(robot):
+    ids = chosen_ids(robot)
+    if not was_read and not ids:
         return ""
-    text = lock_text(robot, source.path.name)
+    libraries = {library for library, _ in fetched_libraries(document)}
+    pins = read_pins(source.path, source.name, Report()) if libraries else []
+    used = (pin.line for pin in pins if pin.library in libraries)
+    text = lock_text(source.path.name, used, address_lines(ids))
     is_new = not was_read or read_bounded(path, MAX_BYTES + 1, cut=True) != text.encode()
     if is_new and not source.changes:
         compilation.locks[path] = text

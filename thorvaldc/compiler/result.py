@@ -25,7 +25,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY
 from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.modules.mounting import MountingPort, mounting_ports
 from thorvaldc.compiler.source.input_file import unsaved_text
@@ -69,6 +68,7 @@ _WIRING = {
 }
 # Codes of 1xx to 3xx and 7xx whose cause is often another error in the structure.
 _CONSEQUENCES = {"root-missing", "root-ambiguous", "scenario-robots-missing", "calibration-wheel"}
+_UNREAD_LIBRARIES = {"library-not-fetched", "library-changed"}
 # Checks of the physics of the whole robot.
 _PHYSICS = {
     *("link-massless", "no-wheels", "wheel-off-ground", "wheels-overlap", "unstable"),
@@ -195,7 +195,7 @@ class Compilation(HtmlView):
         """
 
         def with_user_path(span: Span) -> Span:
-            if span.file.startswith((BUILTIN_LIBRARY, SETTING)):
+            if span.file.startswith(("<", SETTING)):  # a library has no path of the user
                 return span
             # Paths in diagnostics are normalized, because annotations of a pull request in CI need
             # paths without `..`.
@@ -270,8 +270,7 @@ class Compilation(HtmlView):
             report_unused((entry for entry in own if not entry.is_module), unused)
             self.report.extend(self.located(unused))
         for name, path in self.files.items():
-            is_builtin = name.startswith(BUILTIN_LIBRARY)
-            self.sources[name if is_builtin else os.path.normpath(path)] = path
+            self.sources[name if name.startswith("<") else os.path.normpath(path)] = path
         for part in parts.values():
             self.files.update(part.files)
         if self.report.has_errors:
@@ -524,8 +523,11 @@ def is_structural(diagnostic: Diagnostic) -> bool:
 
 def _follows(diagnostic: Diagnostic, causes: list[Diagnostic]) -> bool:
     code = diagnostic.code
+    is_unread = any(cause.code.name in _UNREAD_LIBRARIES for cause in causes)
+    if code.name == "module-type-unknown":
+        return is_unread
     if code.name in _CONSEQUENCES:
-        return any(cause.code.number < "TV304" for cause in causes)
+        return is_unread or any(cause.code.number < "TV304" for cause in causes)
     if code.name == _OCCUPIED:
         return any(cause.code.name != _OCCUPIED for cause in causes)
     if diagnostic.severity is Severity.ERROR:

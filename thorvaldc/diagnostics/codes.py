@@ -268,6 +268,9 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV620", "dbc-text", "a text contains characters that a DBC file cannot represent"),
     # 7xx: library and extras
     _error("TV701", "library-missing", "a library folder does not exist"),
+    _error("TV702", "library-not-fetched", "a library is not in the cache, or not pinned"),
+    _error("TV703", "library-changed", "a library differs from its pin in the lock file"),
+    _error("TV704", "library-unusable", "a repository or archive cannot be fetched as a library"),
     _error("TV730", "mesh-missing", "a mesh file does not exist or cannot be read"),
     _error("TV731", "mesh-format", "the format of a mesh file is not supported"),
     _error("TV732", "mesh-invalid", "a mesh file is broken, empty or not finite"),

@@ -11,7 +11,8 @@ from tests.devices import BATTERY, DRIVE, Bench, line
 from tests.robots import FOUR_STEERED, make_robot
 from tests.slow import mostly_slow
 from thorvaldc.compiler.bus.device_sections import BusSpec
-from thorvaldc.compiler.bus.node_ids import Lock, Pin, has_pins, lock_text, read_lock
+from thorvaldc.compiler.bus.node_ids import Lock, Pin, address_lines, chosen_ids, read_lock
+from thorvaldc.compiler.source.lock_file import lock_text
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Bus, Robot
@@ -32,8 +33,12 @@ def read(text: str) -> Lock:
     return lock
 
 
+def text_of(robot: Robot) -> str:
+    return lock_text("robot.yaml", (), address_lines(chosen_ids(robot)))
+
+
 def pinned(bench: Bench, specs: tuple[BusSpec, ...] = TWO_BUSES[:1]) -> Lock:
-    return read(lock_text(robot_of(bench.build(specs, motors=())), "robot.yaml"))
+    return read(text_of(robot_of(bench.build(specs, motors=()))))
 
 
 def ids(buses: tuple[Bus, ...]) -> dict[str, int]:
@@ -88,10 +93,10 @@ def test_chosen_ids_are_unique_on_all_buses_of_a_robot(bench: Bench) -> None:
 
 def test_only_chosen_ids_need_a_lock_file(bench: Bench) -> None:
     bench.add("io/board", 40, name="by_hand")
-    assert not has_pins(robot_of(bench.build(motors=())))
-    assert lock_text(robot_of(bench.build(motors=())), "r.yaml").endswith("addresses: {}\n")
+    assert not chosen_ids(robot_of(bench.build(motors=())))
+    assert text_of(robot_of(bench.build(motors=()))).endswith("addresses: {}\n")
     bench.add("io/board", name="chosen")
-    assert has_pins(robot_of(bench.build(motors=())))
+    assert chosen_ids(robot_of(bench.build(motors=())))
 
 
 def test_an_id_of_a_module_that_is_gone_is_free(bench: Bench) -> None:
@@ -162,4 +167,4 @@ def test_no_history_of_changes_renumbers_a_device(seed: int) -> None:
         now = ids(buses)
         assert {m: now[m] for m in now if m in before} == {m: before[m] for m in before if m in now}
         assert len(set(now.values())) == len(now)
-        lock, before = read(lock_text(robot_of(buses), "robot.yaml")), now
+        lock, before = read(text_of(robot_of(buses))), now

@@ -13,15 +13,15 @@ command of the compiler reads the lock file, and the command `build` writes it. 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 from thorvaldc.compiler.bus import device_sections as sections
 from thorvaldc.compiler.bus.device_frames import CHANNEL_DIMENSIONS, channel_names, frames_of
 from thorvaldc.compiler.source import node as source
 from thorvaldc.compiler.source.dimensions import EXPECTED
+from thorvaldc.compiler.source.lock_file import ADDRESSES, is_lock, report_invalid
 from thorvaldc.compiler.source.node import yaml_text
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries, items
@@ -342,59 +342,27 @@ def _node(
 
 # -- the lock file ----------------------------------------------------------------------
 
-VERSION_KEY, VERSION = "thorvaldc_lock", 1
-ADDRESSES = "addresses"
-HEAD = """\
-# Ids that thorvaldc chose for the devices of {robot} (`can: auto`). `thorvaldc build` keeps this
-# file up to date. Keep it with the robot: with it a new module never takes another's id.
-"""
-
 
 class Pin(NamedTuple):
     id: int
     span: Span
 
 
-Lock = dict[tuple[str, str, str], Pin]  # (bus, id space, module) -> node id
-
-
-def lock_path(robot: Path) -> Path:
-    """Returns the path of the lock file of a robot, such as `robot.lock.yaml` for `robot.yaml`."""
-    return robot.with_name(f"{robot.stem}.lock.yaml")
-
-
-def without_lock_files(files: Sequence[str]) -> list[str]:
-    """Returns the paths without those of the lock files of robots among them.
-
-    The pattern `robots/*.yaml` also names lock files; the compiler reads them with their robots.
-    """
-    locks = {lock_path(Path(file)) for file in files if Path(file).name}
-    return [file for file in files if Path(file) not in locks]
+LockKey = tuple[str, str, str]
+"""Bus, id space and module of a node id in the lock file."""
+Lock = dict[LockKey, Pin]
 
 
 def read_lock(document: source.Node, report: Report) -> Lock:
     """Returns the node ids in a lock file, and reports an error for each invalid node id."""
-
-    def report_error(message: str, node: source.Node) -> None:
-        report.add(
-            "can-lock-invalid",
-            message,
-            node.span,
-            hint="restore the file from version control, or delete it to choose all ids again",
-        )
-
-    version = document.get(VERSION_KEY)
-    if version is None or type(version.value) is not int or version.value != VERSION:
-        report_error(
-            f"this is not a lock file with `{VERSION_KEY}: {VERSION}`", version or document
-        )
+    if not is_lock(document, report):
         return {}
 
     def entries(node: source.Node | None) -> Iterator[tuple[str, source.Node]]:
         if node is not None and isinstance(node.value, dict):
             yield from node.value.items()
         elif node is not None:
-            report_error("expected a mapping", node)
+            report_invalid("expected a mapping", node, report)
 
     lock: Lock = {}
     for bus, spaces in entries(document.get(ADDRESSES)):
@@ -404,29 +372,27 @@ def read_lock(document: source.Node, report: Report) -> Lock:
                 if node_id is not None:
                     lock[bus, id_space, module] = Pin(node_id, node.where)
                 else:
-                    report_error(f"the id of `{module}` must be a whole number", node)
+                    message = f"the id of `{module}` must be a whole number"
+                    report_invalid(message, node, report)
     return lock
 
 
-def lock_text(robot: Robot, file: str) -> str:
-    """Returns the YAML text of the lock file of a robot.
-
-    - ``file``: name of the robot file, for the comment at the start of the lock file.
-    """
-    lines = [HEAD.format(robot=file), f"{VERSION_KEY}: {VERSION}\n"]
-    lines.append(f"{ADDRESSES}:\n" if has_pins(robot) else f"{ADDRESSES}: {{}}\n")
-    for bus in robot.buses:
-        pinned = [node for node in bus.nodes if node.automatic]
-        if pinned:
-            lines.append(f"  {yaml_text(bus.name)}:\n")
-        for id_space in dict.fromkeys(node.id_space for node in pinned):
-            lines.append(f"    {yaml_text(id_space)}:\n")
-            lines += [
-                f"      {yaml_text(n.module)}: {n.id}\n" for n in pinned if n.id_space == id_space
-            ]
-    return "".join(lines)
+def chosen_ids(robot: Robot) -> dict[LockKey, int]:
+    """Returns the node ids that the compiler chose."""
+    return {
+        (bus.name, node.id_space, node.module): node.id
+        for bus in robot.buses
+        for node in bus.nodes
+        if node.automatic
+    }
 
 
-def has_pins(robot: Robot) -> bool:
-    """Returns whether the compiler chose the node id of at least one CAN device."""
-    return any(node.automatic for bus in robot.buses for node in bus.nodes)
+def address_lines(ids: Mapping[LockKey, int]) -> Iterator[str]:
+    """Yields the lines of the node ids in a lock file."""
+    for bus in dict.fromkeys(key[0] for key in ids):
+        yield f"  {yaml_text(bus)}:\n"
+        for id_space in dict.fromkeys(key[1] for key in ids if key[0] == bus):
+            yield f"    {yaml_text(id_space)}:\n"
+            for (*space, module), node_id in ids.items():
+                if space == [bus, id_space]:
+                    yield f"      {yaml_text(module)}: {node_id}\n"

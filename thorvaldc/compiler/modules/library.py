@@ -79,6 +79,11 @@ class ModuleType:
         """Folder to which the name of the module type is relative."""
         return self.folder.parents[self.name.count("/")]
 
+    @property
+    def library_display(self) -> str:
+        """Name of the library folder in spans."""
+        return self.display.removesuffix(f"/{self.name}/{FILE}")
+
     def section(self, key: str) -> dict[str, Node]:
         """Returns the entries of a section of the module document, or ``{}`` if the document has no
         such section.

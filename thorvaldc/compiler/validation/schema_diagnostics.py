@@ -409,6 +409,12 @@ class _Explanation:
                 "start with `datasheet:`, `measured:`, `published:`, `estimated:`, `chosen:` "
                 "or `derived:`",
             )
+        elif "[^" in pattern:  # the pattern forbids characters
+            what = str(self.schema["description"])
+            message = (
+                f"{self.value_name} cannot be `{text}`: {what[0].lower()}{what[1:].rstrip('.')}"
+            )
+            self.add("unknown-value", message, span, self.example_hint())
         elif "\\." in pattern or pattern.startswith("^[A-Za-z"):
             self.add("bad-id", f"`{text}` is not a path of names", span, _path_hint(text))
         else:

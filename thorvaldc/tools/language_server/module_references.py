@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from thorvaldc.compiler.bus.node_ids import ADDRESSES, lock_path
 from thorvaldc.compiler.modules.library import FILE, ModuleType
+from thorvaldc.compiler.source.lock_file import ADDRESSES, lock_path
 from thorvaldc.compiler.source.node import KeyPath, Node
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Span

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY, forget_modules
+from thorvaldc.compiler.modules.library import forget_modules
 from thorvaldc.compiler.pipeline import compile_file, emit_without_model
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
@@ -101,8 +101,8 @@ class Trace:
     def shown(self, span: Span) -> str:
         """Returns a span with the path of its file from the working folder."""
         path = self.compilation.files.get(span.file, Path(span.file))
-        is_builtin = span.file.startswith(BUILTIN_LIBRARY)
-        return str(span if is_builtin else span._replace(file=os.path.normpath(path)))
+        is_library = span.file.startswith("<")
+        return str(span if is_library else span._replace(file=os.path.normpath(path)))
 
     def places_of(self, origins: int) -> list[Place]:
         """Returns the numbers and expressions of origins, in the order in which they were read.
