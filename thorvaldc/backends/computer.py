@@ -168,6 +168,7 @@ def _service(robot: Robot, computer: Computer) -> str:
         entries += [
             ("Type", "notify"),
             ("WatchdogSec", f"{WATCHDOG:g}"),
+            ("Environment", f"XDG_CACHE_HOME={folder}/cache"),
             # The `-` lets the service start with the last build if the file has errors.
             ("ExecStartPre", f"-{computer.program} build {file} --target can -o {state}"),
             ("ExecStart", start),

@@ -20,6 +20,7 @@ from tests.cli.conftest import GOOD, Command
 from thorvaldc.tools.computer.installed_versions import Computer
 
 NAME = "/etc/thorvaldc/good"
+TOP = "  top: {type: tool/plate, mount: {parent: frame, xyz: [0, 0, 0.3]}}\n"
 UNIT = "/etc/systemd/system/thorvaldc-good.service"
 
 
@@ -96,8 +97,7 @@ def test_libraries_above_the_robot_file_come_along(root: Path, thorvaldc: Comman
     Path("good.yaml").write_text(
         GOOD.replace(
             "modules:",
-            "library: [../shelf]\nmodules:\n"
-            "  top: {type: tool/plate, mount: {parent: frame, xyz: [0, 0, 0.3]}}",
+            "library: [../shelf]\nmodules:\n" + TOP,
             1,
         ),
         encoding="utf-8",
@@ -106,6 +106,28 @@ def test_libraries_above_the_robot_file_come_along(root: Path, thorvaldc: Comman
     assert outcome.status == 0, outcome.err
     assert read(root, f"{NAME}/current/robot/good.yaml")
     assert not any("hidden" in path for path in tree(root))
+
+
+def test_libraries_of_archives_come_along(
+    root: Path, thorvaldc: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The user of the service has no cache: the version contains one."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    thorvaldc("modules", "new", "tool/plate", "--library", "shelf")
+    shutil.make_archive("shelf", "gztar", "shelf")
+    shutil.rmtree("shelf")
+    text = GOOD.replace("modules:", "library: [{archive: shelf.tar.gz}]\nmodules:\n" + TOP, 1)
+    Path("good.yaml").write_text(text, encoding="utf-8")
+    assert thorvaldc("modules", "fetch", "good.yaml").status == 0
+    outcome = thorvaldc("install", "good.yaml", "--root", str(root))
+    assert outcome.status == 0, outcome.err
+    version = root / "etc/thorvaldc/good/versions/1"
+    assert f"XDG_CACHE_HOME={NAME}/current/cache\n" in read(root, UNIT)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(version / "cache"))
+    monkeypatch.chdir(version / "robot")
+    (tmp_path / "cache").rename(tmp_path / "away")
+    checked = thorvaldc("check", "good.yaml")
+    assert checked.status == 0, checked.err
 
 
 def test_a_process_that_is_killed_leaves_the_old_or_the_new_version(

@@ -24,6 +24,7 @@ from pathlib import Path, PurePosixPath
 
 from thorvaldc.backends.can.canmap import canmap_text
 from thorvaldc.backends.computer import FOLDER, PLACES, STATE, name_on_computer
+from thorvaldc.compiler.modules.fetched_library import cache_folder
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import OutsideError, Report
 from thorvaldc.diagnostics.files import read_json, write_file
@@ -32,6 +33,8 @@ from thorvaldc.model import Robot
 MOST_FILES, MOST_BYTES = 5_000, 500_000_000
 """Limits of the files beside a robot file that belong to it."""
 WANTED_BY = "/etc/systemd/system/multi-user.target.wants"
+CACHE = "cache/thorvaldc/libraries"
+"""Folder of a version with the libraries of repositories, as ``XDG_CACHE_HOME`` leads to them."""
 _SUMS = "installed.json"
 _ROBOT = "robot"
 
@@ -112,6 +115,13 @@ def version_of(robot: Robot, path: Path, sources: Mapping[str, Path], left_out: 
     """
     root, files = files_of(path, sources, left_out)
     content = {f"files/{name}": file.read_bytes() for name, file in files.items()}
+    # The service reads the libraries of repositories from a cache of its own.
+    cache = cache_folder()
+    for source in sources.values():
+        if cache in source.parents:
+            library = cache / source.relative_to(cache).parts[0]
+            for name, file in _walk(library):
+                content[f"{CACHE}/{library.name}/{name}"] = file.read_bytes()
     targets = emit(robot, ["computer"], Report())
     content |= {name: data for name, data in targets.items() if name.startswith("computer/")}
     if not robot.buses:
