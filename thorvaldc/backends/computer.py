@@ -70,7 +70,7 @@ def bus_option(computer: Computer) -> str:
 
 class ComputerFiles(Backend):
     name = "computer"
-    summary = "services of the robot's computer, names of its CAN interfaces and serial ports"
+    summary = "services and device names of the robot's computer"
 
     def emit(self, robot: Robot) -> dict[str, bytes]:
         if not robot.buses:
