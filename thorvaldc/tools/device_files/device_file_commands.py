@@ -1,0 +1,78 @@
+"""The command ``thorvaldc modules from-dbc``: a module of a CAN device from a file of others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from thorvaldc.cli.diagnostic_output import show_report
+from thorvaldc.cli.exits import DONE
+from thorvaldc.diagnostics import Report
+
+if TYPE_CHECKING:
+    from thorvaldc.tools.device_files.device_module import DeviceModule
+
+Type = Annotated[str, typer.Argument(metavar="TYPE", help="For instance battery/mine.")]
+Folder = Annotated[str, typer.Option("--library", metavar="DIR", help="Folder of your modules.")]
+
+
+def from_dbc(
+    type: Type,
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A DBC file.")],
+    node: Annotated[
+        str,
+        typer.Option("--node", metavar="NODE", help="Name of the device in the DBC file."),
+    ],
+    library: Folder = "modules",
+) -> int:
+    from thorvaldc.tools.device_files.dbc_module import module_from_dbc
+
+    _check_type(type, library)
+    report = Report()
+    device = module_from_dbc(Path(file), node, type, report)
+    return _finish(device, file, library, report)
+
+
+def _check_type(type: str, library: str) -> None:
+    from thorvaldc.compiler import scaffolding
+    from thorvaldc.compiler.modules.library import FILE, Library
+
+    if not scaffolding.is_module_type(type):
+        raise typer.BadParameter(
+            f"{type!r} is no name of a module type: category/name in small letters, digits and _",
+            param_hint="TYPE",
+        )
+    if Library().exists(type):
+        raise typer.BadParameter(f"the library has a module {type!r} already", param_hint="TYPE")
+    if (Path(library) / type / FILE).exists():
+        raise typer.BadParameter(f"{Path(library) / type / FILE} exists already", param_hint="TYPE")
+
+
+def _finish(device: DeviceModule | None, file: str, library: str, report: Report) -> int:
+    from thorvaldc.compiler import scaffolding
+    from thorvaldc.compiler.modules.library import FILE
+    from thorvaldc.tools.device_files.device_module import module_text
+
+    status = show_report(report, {file: Path(file)})
+    if device is None:
+        return status
+    folder = Path(library)
+    scaffolding.write_module(folder, {f"{device.type}/{FILE}": module_text(device).encode()})
+    for comment in device.comments:
+        print(comment)
+    bus, bitrate = device.can["protocol"], device.can.get("bitrates", "").strip("[]")
+    settings = f"{{bitrate: {bitrate}}}" if bitrate else "{}"
+    channels = "channels: {motor: left.propulsion}, " if "channels" in device.sections else ""
+    mount = "mount: {parent: frame, xyz: [0, 0, 300 mm]}"
+    print(
+        f"{folder / device.type / FILE}: {len(device.frames)} frames. Next:\n"
+        f"  thorvaldc modules check {folder}\n"
+        f"and in a robot file beside the folder:\n"
+        f"  library: [{folder.resolve().name}]\n"
+        f"  buses: {{main: {{}}, {bus}: {settings}}}\n"
+        f"  modules:\n"
+        f"    device: {{type: {device.type}, {mount}, {channels}can: {{bus: {bus}, id: 1}}}}"
+    )
+    return DONE
