@@ -592,6 +592,16 @@ def _others() -> list[Kind]:
             writes=("out",),
         ),
         Kind(
+            "EDS",
+            ("modules from-eds controller/mine mine.eds --library out",),
+            [
+                ("mine.eds", {"mine.eds": _read(f"tests/tools/device_files/{name}.eds")})
+                for name in ("io", "drive")
+            ],
+            TEXT,
+            writes=("out",),
+        ),
+        Kind(
             "plug-in",
             ("targets", "check robot.yaml", "build robot.yaml -o out -t urdf,other"),
             [

@@ -158,6 +158,7 @@ SPEEDS = ("MotorSpeed", "MotorSpeedRef")
         (DRIVE.replace("MotorCurrent", "WheelSpeed").replace('"A"', '"rpm"'), "one of status.m"),
         (DRIVE.replace('"rpm"', '""'), "`velocity` in rad/s is not bound: none"),
     ],
+    ids=["of what", "two", "no unit"],
 )
 def test_what_is_ambiguous_is_not_guessed(thorvaldc: Command, text: str, comment: str) -> None:
     module = import_node(thorvaldc, "controller/mine", "Drive", text)

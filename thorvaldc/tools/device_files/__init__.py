@@ -1,4 +1,4 @@
-"""Makes modules of CAN devices from files of others (DBC); begin at ``device_file_commands``."""
+"""Makes modules of CAN devices from DBC and EDS files; begin at ``device_file_commands``."""
 
 from thorvaldc.tool_folders import CommandEntry
 
@@ -7,5 +7,10 @@ COMMANDS = (
         "modules from-dbc",
         "device_file_commands:from_dbc",
         "Make a module from the messages of a node in a DBC file.",
+    ),
+    CommandEntry(
+        "modules from-eds",
+        "device_file_commands:from_eds",
+        "Make a module from the EDS or DCF file of a CANopen device.",
     ),
 )

@@ -112,7 +112,7 @@ def _device(
         f"Made from {source}. The file has fixed identifiers, so that a bus has one such device.",
         "A driver of this protocol is a package (docs/batteries.md, docs/motor-controllers.md).",
     ]
-    return DeviceModule(type_name, f"CAN device of {source}.", can, frames, {}, comments)
+    return DeviceModule(type_name, f"CAN device of {source}.", can, frames, comments=comments)
 
 
 def _line(file: str, line: int) -> Span:

@@ -1,4 +1,5 @@
-"""The command ``thorvaldc modules from-dbc``: a module of a CAN device from a file of others."""
+"""The commands ``thorvaldc modules from-dbc`` and ``from-eds``: a module of a CAN device from a
+file of others."""
 
 from __future__ import annotations
 
@@ -35,6 +36,19 @@ def from_dbc(
     return _finish(device, file, library, report)
 
 
+def from_eds(
+    type: Type,
+    file: Annotated[str, typer.Argument(metavar="FILE", help="An EDS or DCF file.")],
+    library: Folder = "modules",
+) -> int:
+    from thorvaldc.tools.device_files.eds_module import module_from_eds
+
+    _check_type(type, library)
+    report = Report()
+    device = module_from_eds(Path(file), type, report)
+    return _finish(device, file, library, report)
+
+
 def _check_type(type: str, library: str) -> None:
     from thorvaldc.compiler import scaffolding
     from thorvaldc.compiler.modules.library import FILE, Library
@@ -62,17 +76,11 @@ def _finish(device: DeviceModule | None, file: str, library: str, report: Report
     scaffolding.write_module(folder, {f"{device.type}/{FILE}": module_text(device).encode()})
     for comment in device.comments:
         print(comment)
-    bus, bitrate = device.can["protocol"], device.can.get("bitrates", "").strip("[]")
-    settings = f"{{bitrate: {bitrate}}}" if bitrate else "{}"
-    channels = "channels: {motor: left.propulsion}, " if "channels" in device.sections else ""
-    mount = "mount: {parent: frame, xyz: [0, 0, 300 mm]}"
     print(
         f"{folder / device.type / FILE}: {len(device.frames)} frames. Next:\n"
         f"  thorvaldc modules check {folder}\n"
         f"and in a robot file beside the folder:\n"
         f"  library: [{folder.resolve().name}]\n"
-        f"  buses: {{main: {{}}, {bus}: {settings}}}\n"
-        f"  modules:\n"
-        f"    device: {{type: {device.type}, {mount}, {channels}can: {{bus: {bus}, id: 1}}}}"
+        f"{device.usage()}"
     )
     return DONE

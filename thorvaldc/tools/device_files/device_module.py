@@ -19,6 +19,7 @@ from thorvaldc.compiler.source.node import Node, yaml_text
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.validation.schema_diagnostics import similar_name
 from thorvaldc.diagnostics import Report, Span
+from thorvaldc.model.bus import CANOPEN
 
 _LONGEST_NAME = 56  # a number may follow
 _LONGEST_TEXT = 300
@@ -50,6 +51,7 @@ class DeviceModule:
     """The content of a module of a CAN device.
 
     - ``type``: name of the module type, such as ``battery/mine``.
+    - ``params``: YAML text of parameters beside the mass, by their names.
     - ``sections``: YAML text of further sections of the module, by their names.
     - ``can``: YAML text of the keys of the section ``can`` but ``frames``.
     - ``comments``: what a person must know or decide, at the top of the file.
@@ -59,8 +61,27 @@ class DeviceModule:
     description: str
     can: dict[str, str]
     frames: list[ModuleFrame]
+    params: dict[str, str] = field(default_factory=dict)
     sections: dict[str, str] = field(default_factory=dict)
     comments: list[str] = field(default_factory=list)
+
+    def usage(self) -> str:
+        """Returns the lines of a robot file that use the module.
+
+        A device that is not CANopen has a bus of its own: its identifiers can be those of others.
+        """
+        entry = {"type": self.type, "mount": "{parent: frame, xyz: [0, 0, 300 mm]}", "can": "auto"}
+        if "velocity_unit" in self.params:
+            entry["params"] = "{velocity_unit: 1 rpm}"
+        if "channels" in self.sections:
+            entry["channels"] = "{motor: left.propulsion}"
+        lines = []
+        if self.can["id_space"] != CANOPEN:
+            bus, bitrate = self.can["protocol"], self.can.get("bitrates", "").strip("[]")
+            lines.append(f"  buses: {{main: {{}}, {bus}: {{{bitrate and f'bitrate: {bitrate}'}}}}}")
+            entry["can"] = f"{{bus: {bus}, id: 1}}"
+        keys = ", ".join(f"{key}: {text}" for key, text in entry.items())
+        return "\n".join([*lines, "  modules:", f"    device: {{{keys}}}"])
 
 
 class Names:
@@ -149,7 +170,7 @@ def _rendered(device: DeviceModule) -> tuple[list[str], dict[int, tuple[str, str
 
     The name of the signal is empty in the lines of the frame itself.
     """
-    lines = [*_head(device), "  frames:"]
+    lines = [*"\n".join(_head(device)).split("\n"), "  frames:"]
     places: dict[int, tuple[str, str]] = {}
     for frame in device.frames:
         first = len(lines) + 1
@@ -184,7 +205,9 @@ params:
     default: 1 kg
     minimum: 0.01 kg
     description: Mass of the device.
-    source: "estimated: weigh yours, and write the source here"
+    source: "estimated: weigh yours, and write the source here\"""".splitlines()
+    yield from (f"  {name}: {text}" for name, text in device.params.items())
+    yield from """\
 mount: {kinds: [frame_clamp, sensor_mount], link: housing, xyz: [0, 0, 0], optional: true}
 links:
   housing:
@@ -195,4 +218,4 @@ links:
         source: "estimated: measure yours\"""".splitlines()
     yield from (f"{name}: {text}" for name, text in device.sections.items())
     yield "can:"
-    yield from (f"  {key}: {text}" for key, text in device.can.items())
+    yield from (f"  {key}: {text}".replace(": \n", ":\n") for key, text in device.can.items())
