@@ -18,6 +18,7 @@ from thorvaldc.backends.can.dbc import dbc_text
 from thorvaldc.compiler.bus.device_sections import BusSpec
 from thorvaldc.model import Bus
 from thorvaldc.tools.device_files import dbc_module
+from thorvaldc.tools.device_files.device_module import MAX_BYTES
 
 BATTERY = Path(__file__).with_name("battery.dbc").read_text(encoding="utf-8")
 DRIVE = """\
@@ -247,7 +248,7 @@ LEFT_OUT_READ = re.sub(
         ("", "mine.dbc:1:1: error[TV903]"),
         (BATTERY.replace("BMS", "BNS"), "did you mean `BNS`?"),
         ("\0" * 100, "mine.dbc:1:1: error[TV903]"),
-        ("x" * (dbc_module.MAX_BYTES + 1), "more than 4 MB"),
+        ("x" * (MAX_BYTES + 1), "more than 4 MB"),
         (BATTERY.replace("BO_ 513", "BO_ 2049"), "mine.dbc:18:1: error[TV903]"),
     ],
     ids=["syntax", "empty", "other node", "bytes", "large", "identifier"],

@@ -93,7 +93,7 @@ def test_a_drive_of_the_file_drives_beside_another_one(thorvaldc: Command) -> No
     for arguments in (["modules", "check", "modules"], ["check", "robot.yaml"]):
         checked = thorvaldc(*arguments)
         assert (checked.status, checked.err) == (0, ""), checked.out
-    # No simulated device has the protocol of `io/mine`, and what is not simulated cannot be flashed.
+    # The simulated bus has no device with the protocol of `io/mine`, which `flash` needs.
     drives = "".join(row for row in ROBOT.splitlines(True) if not row.startswith("  io:"))
     Path("robot.yaml").write_text(drives, encoding="utf-8")
     flash = "can flash robot.yaml --bus virtual:delivered --store store.json --apply --yes"
@@ -152,11 +152,12 @@ def test_a_dcf_is_of_one_node_and_its_values_come_first(thorvaldc: Command) -> N
         (IO.replace("0x30191", "three"), "`three` is not a whole number"),
         (IO.replace("CompactSubObj=2", "CompactSubObj=99999999"), "1 to 254 entries"),
         (IO.replace("NODEID+0x80", "NODEID+0x800000"), ""),
+        (IO.replace("DefaultValue=2\n", "DefaultValue=0xFFFFFFFF\n"), ""),
         ("no section\n", "mine.eds:1:1: error[TV903]"),
         ("[1000]\nDataType=7\n", "error[TV932]"),
         ("", "error[TV903]"),
     ],
-    ids=["type", "line", "twice", "number", "compact", "fine", "text", "no PDO", "empty"],
+    ids=["type", "line", "twice", "number", "compact", "emcy", "count", "text", "no PDO", "empty"],
 )
 def test_broken_files(thorvaldc: Command, text: str, message: str) -> None:
     Path("mine.eds").write_text(text, encoding="utf-8")

@@ -7,16 +7,12 @@ thorvaldc knows by name get this name and its unit, see ``_bind``.  Begin with `
 from __future__ import annotations
 
 import math
-import os
 import re
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, limited_worker
-from thorvaldc.compiler.source.input_file import read_bytes
 from thorvaldc.compiler.source.units import UnitError, parse_unit
 from thorvaldc.diagnostics import OutsideError, Report, Span, did_you_mean
 from thorvaldc.diagnostics.installation import install_command
@@ -27,12 +23,10 @@ from thorvaldc.tools.device_files.device_module import (
     Names,
     left_out,
     quoted,
+    read_contained,
     without_refused,
 )
 
-MAX_BYTES = 4_000_000
-_SERVICE = "thorvaldc.tools.device_files.dbc_worker"
-_LIMITS = WorkerLimits(wall_seconds=60.0, processor_seconds=40, memory_bytes=1 << 30)
 _LONGEST_FRAME = 8  # bytes
 
 
@@ -50,8 +44,8 @@ def module_from_dbc(path: Path, node: str, type_name: str, report: Report) -> De
     if find_spec("cantools") is None:
         command = install_command("dbc")
         raise OutsideError(f"DBC files require cantools, which is not installed: {command}")
-    data = read_bytes(path, str(path), report, limit=MAX_BYTES)
-    content = None if data is None else _read(str(path), data, node, report)
+    imports = ("cantools.database",)
+    content = read_contained(path, "DBC", "dbc_worker", report, {"node": node}, imports)
     if content is None:
         return None
     if not content["messages"]:
@@ -70,28 +64,12 @@ def module_from_dbc(path: Path, node: str, type_name: str, report: Report) -> De
     return device
 
 
-def _read(file: str, data: bytes, node: str, report: Report) -> dict[str, Any] | None:
-    folders = [os.path.abspath(folder) for folder in sys.path]
-    imports = ("cantools.database",)
-    with limited_worker(_SERVICE, _LIMITS, path=folders, imports=imports) as worker:
-        try:
-            answer, _ = worker.ask({"node": node}, data)
-        except WorkerLimitError as error:
-            answer = {"error": f"its reader {error}", "line": 1, "column": 1}
-    if "error" not in answer:
-        return answer
-    line, column = answer["line"], answer["column"]
-    span = Span(file, line, column, line, column + 1)
-    report.add("file-unreadable", f"`{file}` cannot be read as a DBC file: {answer['error']}", span)
-    return None
-
-
 def _device(
     content: dict[str, Any], source: str, file: str, type_name: str, report: Report
 ) -> DeviceModule:
     protocol = type_name.rpartition("/")[2]
     can = {"protocol": protocol, "id_space": protocol, "ids": "[1, 1]"}
-    if bitrate := content["bitrate"]:
+    if (bitrate := content["bitrate"]) and bitrate > 0:
         can["bitrates"] = f"[{_number(bitrate / 1000)} kbit/s]"
     frames, names, known = [], Names(), set[tuple[int, bool]]()
     for message in content["messages"]:

@@ -65,7 +65,7 @@ def _content(database: Any, node: str, lines: dict[str, int]) -> dict[str, Any]:
         names |= dict.fromkeys([*senders, *receivers])
         if node in senders or node in receivers:
             messages.append(_message(message, node in senders, lines))
-    known = {one.name: None for one in database.nodes}
+    known = {own_node.name: None for own_node in database.nodes}
     bus = database.buses[0] if database.buses else None
     return {
         "nodes": [*known, *(name for name in names if name not in known)],

@@ -10,6 +10,7 @@ import typer
 
 from thorvaldc.cli.diagnostic_output import show_report
 from thorvaldc.cli.exits import DONE
+from thorvaldc.cli.library_commands import check_new_type
 from thorvaldc.diagnostics import Report
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ def from_dbc(
 ) -> int:
     from thorvaldc.tools.device_files.dbc_module import module_from_dbc
 
-    _check_type(type, library)
+    check_new_type(type)
     report = Report()
     device = module_from_dbc(Path(file), node, type, report)
     return _finish(device, file, library, report)
@@ -43,25 +44,10 @@ def from_eds(
 ) -> int:
     from thorvaldc.tools.device_files.eds_module import module_from_eds
 
-    _check_type(type, library)
+    check_new_type(type)
     report = Report()
     device = module_from_eds(Path(file), type, report)
     return _finish(device, file, library, report)
-
-
-def _check_type(type: str, library: str) -> None:
-    from thorvaldc.compiler import scaffolding
-    from thorvaldc.compiler.modules.library import FILE, Library
-
-    if not scaffolding.is_module_type(type):
-        raise typer.BadParameter(
-            f"{type!r} is no name of a module type: category/name in small letters, digits and _",
-            param_hint="TYPE",
-        )
-    if Library().exists(type):
-        raise typer.BadParameter(f"the library has a module {type!r} already", param_hint="TYPE")
-    if (Path(library) / type / FILE).exists():
-        raise typer.BadParameter(f"{Path(library) / type / FILE} exists already", param_hint="TYPE")
 
 
 def _finish(device: DeviceModule | None, file: str, library: str, report: Report) -> int:
@@ -73,7 +59,11 @@ def _finish(device: DeviceModule | None, file: str, library: str, report: Report
     if device is None:
         return status
     folder = Path(library)
-    scaffolding.write_module(folder, {f"{device.type}/{FILE}": module_text(device).encode()})
+    files = {f"{device.type}/{FILE}": module_text(device).encode()}
+    try:
+        scaffolding.write_module(folder, files)
+    except FileExistsError as error:
+        raise typer.BadParameter(f"{error} exists already", param_hint="TYPE") from None
     for comment in device.comments:
         print(comment)
     print(

@@ -7,16 +7,12 @@ Each value names its object in a comment.  Begin with ``module_from_eds``.
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from thorvaldc.can.canopen import RPDO, TPDO
-from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, limited_worker
-from thorvaldc.compiler.source.input_file import read_bytes
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model.bus import CIA_402, OBJECT_TYPES
 from thorvaldc.tools.device_files.device_module import (
@@ -27,18 +23,17 @@ from thorvaldc.tools.device_files.device_module import (
     left_out,
     plain_text,
     quoted,
+    read_contained,
     without_refused,
 )
 
-MAX_BYTES = 4_000_000
-_SERVICE = "thorvaldc.tools.device_files.eds_worker"
-_LIMITS = WorkerLimits(wall_seconds=30.0, processor_seconds=20, memory_bytes=512 << 20)
 _TYPES = {number: name for name, (number, _) in OBJECT_TYPES.items()}
 _IDS = {"controller": "[1, 31]", "io": "[32, 47]"}
 _OTHER_IDS = "[48, 63]"
-_INVALID = 1 << 31
-"""Bit of the COB-ID of a PDO that is not used (CiA 301)."""
-_PDOS = 512
+_INVALID, _EXTENDED = 1 << 31, 1 << 29
+"""Bits of the COB-ID of a PDO: it is not used, it has 29 bits (CiA 301)."""
+_LONGEST_TIME = 0xFFFF  # ms
+_PDOS, _MOST_MAPPED = 512, 64
 _BITRATES = (10, 20, 50, 125, 250, 500, 800, 1000)  # kbit/s, keys `BaudRate_125` ...
 _UNITS = {
     # CiA 402: torque and current per thousand of the rated ones, voltage of the supply in mV.
@@ -110,8 +105,7 @@ def module_from_eds(path: Path, type_name: str, report: Report) -> DeviceModule 
     Reports a note for each PDO that the module leaves out.
     """
     file = str(path)
-    data = read_bytes(path, file, report, limit=MAX_BYTES)
-    content = None if data is None else _read(file, data, report)
+    content = read_contained(path, "EDS", "eds_worker", report)
     if content is None:
         return None
     dictionary = Dictionary(content, file)
@@ -133,21 +127,6 @@ def module_from_eds(path: Path, type_name: str, report: Report) -> DeviceModule 
     return device
 
 
-def _read(file: str, data: bytes, report: Report) -> dict[str, Any] | None:
-    folders = [os.path.abspath(folder) for folder in sys.path]
-    with limited_worker(_SERVICE, _LIMITS, path=folders) as worker:
-        try:
-            answer, _ = worker.ask({}, data)
-        except WorkerLimitError as error:
-            answer = {"error": f"its reader {error}", "line": 1}
-    if "error" not in answer:
-        return answer
-    span = Span(file, answer["line"], 1, answer["line"], 2)
-    text = f"`{file}` cannot be read as an EDS file: {answer['error']}"
-    report.add("file-unreadable", text, span)
-    return None
-
-
 def _can(dictionary: Dictionary, type_name: str) -> dict[str, str]:
     """Returns the keys of the section ``can``: protocol, identity, services, bit rates."""
     category, _, name = type_name.partition("/")
@@ -157,9 +136,10 @@ def _can(dictionary: Dictionary, type_name: str) -> dict[str, str]:
     keys = ("vendor_id", "product_code", "revision_number")
     for subindex, key in enumerate(keys, 1):
         value = dictionary.number(0x1018, subindex)
-        if value is not None and value >= 0:
+        if value is not None and 0 <= value < 1 << 32:
             can[key] = f"{value:#x}  # 0x1018:{subindex}"
-    if (device_type := dictionary.number(0x1000)) is not None:
+    device_type = dictionary.number(0x1000)
+    if device_type is not None and 0 <= device_type < 1 << 32:
         can["device_type"] = f"{device_type:#x}  # 0x1000:0"
     if dictionary.info.get("lss_supported", "0").strip() == "1":
         can["lss"] = "true  # LSS_Supported"
@@ -185,10 +165,11 @@ def _has_consumer(dictionary: Dictionary) -> bool:
 def _params(dictionary: Dictionary, file: str) -> dict[str, str]:
     params = {}
     if dictionary.get(0x1017):
-        period = dictionary.number(0x1017) or 0
-        source = f"published: {file}, object 0x1017" if period > 0 else "chosen: the file has none"
+        period, source = dictionary.number(0x1017) or 0, f"published: {file}, object 0x1017"
+        if not 10 <= period <= _LONGEST_TIME:
+            period, source = 100, "chosen: the file has no time from 10 ms on in 0x1017"
         params["heartbeat_period"] = (
-            f"{{quantity: time, default: {period if period > 0 else 100} ms, minimum: 10 ms, "
+            f"{{quantity: time, default: {period} ms, minimum: 10 ms, "
             f"description: Time between two heartbeats., source: {quoted(source)}}}"
         )
     if _has_consumer(dictionary):
@@ -226,6 +207,8 @@ def _frame(
         return None, f"the file has no COB-ID (0x{index:04X}:1)"
     if value[0] & _INVALID:
         return None, f"it is not used (bit 31 of its COB-ID, 0x{index:04X}:1)"
+    if value[0] & _EXTENDED:
+        return None, f"a PDO of a module has 11 bits (bit 29 of its COB-ID, 0x{index:04X}:1)"
     mapped = [*_mapped(dictionary, index + 0x200)]
     if not mapped:
         return None, f"the file maps no objects (0x{index + 0x200:04X})"
@@ -242,6 +225,7 @@ def _frame(
     transmission = dictionary.number(index, 2)
     synchronous = transmission is not None and 1 <= transmission <= 240
     timer = (dictionary.number(index, 5) or 0) if is_report else 0
+    timer = timer if timer <= _LONGEST_TIME else 0
     period = "cycle" if synchronous else f"{timer} ms" if timer > 0 else "on_demand"
     keys = {
         "cob_id": f"{_cob_id(dictionary, value)}  # 0x{index:04X}:1",
@@ -259,7 +243,7 @@ def _frame(
 
 def _mapped(dictionary: Dictionary, index: int) -> Iterator[tuple[Entry, int]]:
     """Yields the entries that a PDO contains, and their lengths in bits."""
-    for subindex in range(1, (dictionary.number(index) or 0) + 1):
+    for subindex in range(1, min(dictionary.number(index) or 0, _MOST_MAPPED) + 1):
         value = dictionary.number(index, subindex)
         if value:
             key = (value >> 16 & 0xFFFF, value >> 8 & 0xFF)
