@@ -168,19 +168,3 @@ def read_by_cantools(text: str) -> Reader:
         return encoded
 
     return Reader({key: message.decode for key, message in messages.items()}, encode_again)
-
-
-def read_by_canmatrix(text: str) -> Reader:
-    import canmatrix.formats
-
-    matrix = canmatrix.formats.loads_flat(text.encode("cp1252"), "dbc")
-
-    def decoder(frame: Any) -> Decode:
-        def decode(data: bytes) -> dict[str, float]:
-            values = frame.decode(data)
-            return {name: float(value.phys_value) for name, value in values.items()}
-
-        return decode
-
-    frames = {(f.arbitration_id.id, f.arbitration_id.extended): f for f in matrix.frames}
-    return Reader({key: decoder(frame) for key, frame in frames.items()})

@@ -1,4 +1,4 @@
-"""Random layouts of frames in our DBC files, decoded by cantools and canmatrix as by our codec."""
+"""Random layouts of frames in our DBC files, decoded by cantools as by our codec."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from tests.backends.random_layouts import compare, read_by_canmatrix, read_by_cantools
+from tests.backends.random_layouts import compare, read_by_cantools
 
 
 def wrong_layouts(number: int, seed: int, *read: object) -> tuple[int, int]:
@@ -28,9 +28,3 @@ def test_cantools_decodes_and_encodes_random_layouts_as_the_driver() -> None:
 @pytest.mark.slow
 def test_cantools_agrees_in_10_000_layouts() -> None:
     assert wrong_layouts(10_000, 2, read_by_cantools)[1] == 0
-
-
-@pytest.mark.slow
-def test_canmatrix_agrees_in_10_000_layouts() -> None:
-    pytest.importorskip("canmatrix", reason="canmatrix is not a dependency; install it to compare")
-    assert wrong_layouts(10_000, 2, read_by_canmatrix)[1] == 0

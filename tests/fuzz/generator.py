@@ -586,6 +586,23 @@ def _others() -> list[Kind]:
             weight=1.5,
         ),
         Kind(
+            "DBC",
+            ("modules from-dbc battery/mine mine.dbc --node BMS --library out",),
+            [("mine.dbc", {"mine.dbc": _read("tests/tools/device_files/battery.dbc")})],
+            TEXT,
+            writes=("out",),
+        ),
+        Kind(
+            "EDS",
+            ("modules from-eds controller/mine mine.eds --library out",),
+            [
+                ("mine.eds", {"mine.eds": _read(f"tests/tools/device_files/{name}.eds")})
+                for name in ("io", "drive")
+            ],
+            TEXT,
+            writes=("out",),
+        ),
+        Kind(
             "plug-in",
             ("targets", "check robot.yaml", "build robot.yaml -o out -t urdf,other"),
             [

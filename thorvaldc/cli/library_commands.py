@@ -361,16 +361,10 @@ def new_module(
     ] = "modules",
 ) -> int:
     from thorvaldc.compiler import scaffolding
-    from thorvaldc.compiler.modules.library import FILE, Library
+    from thorvaldc.compiler.modules.library import FILE
 
-    if not scaffolding.is_module_type(type):
-        raise typer.BadParameter(
-            f"{type!r} is no name of a module type: category/name in small letters, digits and _",
-            param_hint="TYPE",
-        )
+    check_new_type(type)
     folder = Path(library)
-    if Library().exists(type):
-        raise typer.BadParameter(f"the library has a module {type!r} already", param_hint="TYPE")
     if folder.exists() and not folder.is_dir():
         raise typer.BadParameter(f"{library!r} is not a folder", param_hint="'--library'")
     report = Report()
@@ -392,3 +386,17 @@ def new_module(
         f"{scaffolding.usage(type)}"
     )
     return DONE
+
+
+def check_new_type(type: str) -> None:
+    """Raises ``typer.BadParameter`` if a new module type cannot have a name."""
+    from thorvaldc.compiler import scaffolding
+    from thorvaldc.compiler.modules.library import Library
+
+    if not scaffolding.is_module_type(type):
+        raise typer.BadParameter(
+            f"{type!r} is no name of a module type: category/name in small letters, digits and _",
+            param_hint="TYPE",
+        )
+    if Library().exists(type):
+        raise typer.BadParameter(f"the library has a module {type!r} already", param_hint="TYPE")

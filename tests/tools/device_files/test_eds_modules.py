@@ -1,0 +1,166 @@
+"""Modules from EDS and DCF files: identity, PDOs and drives that run on the simulated bus."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Command
+from tests.devices import Bench
+from thorvaldc.model import Bus
+
+HERE = Path(__file__).parent
+IO = (HERE / "io.eds").read_text(encoding="utf-8")
+DRIVE = (HERE / "drive.eds").read_text(encoding="utf-8")
+ROBOT = """\
+thorvaldc: 1
+name: rover
+base_calculator: differential
+library: [modules]
+modules:
+  frame: {type: frame/tube_rectangular, params: {length: 1.1 m, width: 0.9 m, cross_members: [0]}}
+  left: {type: assembly/fixed_drive, mount: frame.front_left}
+  right: {type: assembly/fixed_drive, mount: frame.front_right}
+  one:
+    type: controller/mine
+    params: {velocity_unit: 1 rpm}
+    channels: {motor: left.propulsion}
+    can: 1
+  two: {type: controller/cia402_propulsion, channels: {propulsion: right.propulsion}, can: 2}
+  io: {type: io/mine, mount: {parent: frame, xyz: [0.3, 0, 0.1]}, can: auto}
+  caster_left: {type: caster/swivel, mount: frame.rear_left}
+  caster_right: {type: caster/swivel, mount: frame.rear_right}
+  battery:
+    type: battery/enclosure
+    mount: {parent: frame, xyz: [0, 0, 0.07], rpy: [0, 0, 90 deg]}
+    can: 1
+"""
+
+
+def import_device(command: Command, type_name: str, text: str) -> tuple[str, str]:
+    """Runs the command, and returns the text of the module and the messages."""
+    Path("mine.eds").write_text(text, encoding="cp1252")
+    made = command("modules", "from-eds", type_name, "mine.eds")
+    assert made.status == 0, made.err
+    return Path(f"modules/{type_name}/module.yaml").read_text(encoding="utf-8"), made.err
+
+
+def bus_of(text: str, node_id: int = 5) -> Bus:
+    bench = Bench()
+    bench.add("my/device", node_id, text=text)
+    (bus,) = bench.build()
+    assert not list(bench.report)
+    return bus
+
+
+def test_an_io_device_has_the_pdos_and_the_identity_of_its_file(thorvaldc: Command) -> None:
+    text, messages = import_device(thorvaldc, "io/mine", IO)
+    bus = bus_of(text)
+    (node,) = bus.nodes
+    assert (node.vendor_id, node.product_code, node.revision_number) == (0x123, 0x45, 0x10002)
+    assert (node.device_type, node.id_space, node.lss) == (0x30191, "canopen", False)
+    assert node.bitrates == (125_000, 250_000, 500_000, 1_000_000)
+    assert node.heartbeat_consumer_time == 0.5
+    frames = {frame.name: frame for frame in bus.frames if frame.producer != "master" or frame.pdo}
+    assert {name: (f.cob_id, f.period, f.length, f.synchronous) for name, f in frames.items()} == {
+        "d1_rpdo1": (0x205, None, 3, False),
+        "d1_tpdo1": (0x185, 0.04, 2, False),
+        "d1_tpdo2": (0x285, 0.02, 4, True),
+        "d1_sdo_response": (0x585, None, 8, False),
+        "d1_heartbeat": (0x705, 0.25, 1, False),
+        "d1_emcy": (0x85, None, 8, False),
+    }
+    assert frames["d1_tpdo1"].mapping == ((0x6000, 1, "unsigned8"), (0x6000, 2, "unsigned8"))
+    outputs, analogue = frames["d1_rpdo1"].signals
+    assert (outputs.name, outputs.minimum, outputs.maximum) == ("outputs_1_to_8", 0.0, 15.0)
+    assert (analogue.start, analogue.length, analogue.signed) == (8, 16, True)
+    assert "# 0x1018:1" in text
+    assert "0x6411:1, Write Analogue Output Output 1." in text
+    assert dict(re.findall(r"the PDO of the object (0x\w+) is left out: (.*)", messages)) == {
+        "0x1401": "it is not used (bit 31 of its COB-ID, 0x1401:1)",
+        "0x1802": "0x2000:0 has 32 bits and a type that a module does not have",
+    }
+
+
+def test_a_drive_of_the_file_drives_beside_another_one(thorvaldc: Command) -> None:
+    text, _ = import_device(thorvaldc, "controller/mine", DRIVE)
+    assert "# The drive has no writable 0x605E (fault_reaction_option): set it there." in text
+    assert "choices: [3, 9]" in text
+    import_device(thorvaldc, "io/mine", IO)
+    Path("robot.yaml").write_text(ROBOT, encoding="utf-8")
+    for arguments in (["modules", "check", "modules"], ["check", "robot.yaml"]):
+        checked = thorvaldc(*arguments)
+        assert (checked.status, checked.err) == (0, ""), checked.out
+    # The simulated bus has no device with the protocol of `io/mine`, which `flash` needs.
+    drives = "".join(row for row in ROBOT.splitlines(True) if not row.startswith("  io:"))
+    Path("robot.yaml").write_text(drives, encoding="utf-8")
+    flash = "can flash robot.yaml --bus virtual:delivered --store store.json --apply --yes"
+    for command in (flash, "can verify robot.yaml --bus virtual --store store.json"):
+        written = thorvaldc(*command.split())
+        assert written.status == 0, written.out + written.err
+    drive = "run robot.yaml --bus virtual --fast --twist 0.5,0,0 --duration 3"
+    run = thorvaldc(*drive.split())
+    assert run.status == 0, run.err
+    assert re.search(r" 1\.[3-6] 0\.0 m 0 deg", run.out), run.out
+
+
+def test_the_unit_of_the_velocity_must_be_stated(thorvaldc: Command) -> None:
+    import_device(thorvaldc, "controller/mine", DRIVE)
+    import_device(thorvaldc, "io/mine", IO)
+    Path("robot.yaml").write_text(
+        ROBOT.replace("    params: {velocity_unit: 1 rpm}\n", ""), encoding="utf-8"
+    )
+    checked = thorvaldc("check", "robot.yaml")
+    assert checked.status == 1
+    assert "param-missing" in checked.out
+    assert "`velocity_unit`" in checked.out
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("[60FF]", "[60FE]", "0x60FF (missing)"),
+        ("Velocity actual value\nObjectType=0x7\nDataType=0x0004", "V\nDataType=3", "(integer16)"),
+        ("0x00000185", "0x00000001", "0x6502 (neither mode 3 nor 9)"),
+        ("=Entry 1\nObjectType=0x7\nDataType=0x0007\nAccessType=rw", "=E\nDataType=7", "0x1600"),
+    ],
+)
+def test_a_drive_that_the_driver_cannot_use_keeps_its_pdos(
+    thorvaldc: Command, old: str, new: str, reason: str
+) -> None:
+    text, _ = import_device(thorvaldc, "controller/mine", DRIVE.replace(old, new))
+    assert re.search(rf"# The driver `cia402` cannot drive it: .*{re.escape(reason)}", text)
+    assert "protocol: mine" in text
+    torque = next(s for f in bus_of(text).frames for s in f.signals if "torque" in s.name)
+    assert (torque.unit, torque.scale) == ("%", 0.1)
+
+
+def test_a_dcf_is_of_one_node_and_its_values_come_first(thorvaldc: Command) -> None:
+    dcf = IO.replace("DefaultValue=$NODEID+0x180", "DefaultValue=1\nParameterValue=0x189")
+    text, _ = import_device(thorvaldc, "io/mine", dcf + "\n[DeviceComissioning]\nNodeID=9\n")
+    assert "cob_id: ${0x180 + id}  # 0x1800:1" in text
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (IO.replace("[1000]", "[100]"), "mine.eds:1:1: error[TV903]"),
+        (IO.replace("[1001]\n", "[1001]\nnonsense\n"), "mine.eds:27:1: error[TV903]"),
+        (IO.replace("[1001]", "[1000]"), "mine.eds:26:1: error[TV903]"),
+        (IO.replace("0x30191", "three"), "`three` is not a whole number"),
+        (IO.replace("CompactSubObj=2", "CompactSubObj=99999999"), "1 to 254 entries"),
+        (IO.replace("NODEID+0x80", "NODEID+0x800000"), ""),
+        (IO.replace("DefaultValue=2\n", "DefaultValue=0xFFFFFFFF\n"), ""),
+        ("no section\n", "mine.eds:1:1: error[TV903]"),
+        ("[1000]\nDataType=7\n", "error[TV932]"),
+        ("", "error[TV903]"),
+    ],
+    ids=["type", "line", "twice", "number", "compact", "emcy", "count", "text", "no PDO", "empty"],
+)
+def test_broken_files(thorvaldc: Command, text: str, message: str) -> None:
+    Path("mine.eds").write_text(text, encoding="utf-8")
+    made = thorvaldc("modules", "from-eds", "io/mine", "mine.eds")
+    assert made.status == (1 if message else 0), made.err
+    assert message in made.err
