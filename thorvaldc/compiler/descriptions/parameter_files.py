@@ -126,8 +126,8 @@ TRACTION = (
     *("rear_wheels_names", "front_wheels_names", "traction_joints_names"),
     *("traction_joint_name", "wheel_names"),
 )
-_STEERING = ("steering_joints_names", "steering_joint_name", "front_steering")
-_JOINT_LISTS = (*LEFT, *RIGHT, *TRACTION, *_STEERING, "joints", "joint")
+STEERING = ("steering_joints_names", "steering_joint_name", "front_steering")
+_JOINT_LISTS = (*LEFT, *RIGHT, *TRACTION, *STEERING, "joints", "joint")
 _RADIUS = ("wheel_radius", "wheels_radius", "kinematics.wheels_radius", "traction_wheels_radius",
            "front_wheels_radius", "rear_wheels_radius")  # fmt: skip
 _SEPARATION = ("wheel_separation", "wheel_separation_y", "traction_track_width")
