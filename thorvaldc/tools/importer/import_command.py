@@ -10,7 +10,6 @@ import typer
 from thorvaldc.cli.diagnostic_output import show_report
 from thorvaldc.cli.exits import INPUT, OutsideError, write_errors
 
-MAX_MESH_BYTES = 64 * 1024 * 1024
 _DESCRIPTIONS = (".urdf", ".xacro")
 
 
@@ -56,8 +55,7 @@ def import_file(
 
 
 def _import_urdf(file: Path, controllers: Path | None, output: str) -> int:
-    from thorvaldc.diagnostics.files import read_bounded
-    from thorvaldc.tools.importer.urdf_import import import_urdf
+    from thorvaldc.tools.importer.urdf_import import import_urdf, write_files
 
     if not output:
         raise typer.BadParameter("name the folder of the robot: -o FOLDER", param_hint="'-o'")
@@ -68,9 +66,8 @@ def _import_urdf(file: Path, controllers: Path | None, output: str) -> int:
     status = show_report(imported.report, imported.sources)
     if status == INPUT or not imported.files:
         return status
-    for name, content in imported.files.items():
-        data = read_bounded(content, MAX_MESH_BYTES) if isinstance(content, Path) else content
-        _write_new_file(folder / name, data)
+    with write_errors(folder):
+        write_files(imported.files, folder)
     print(folder / "robot.yaml")
     return status
 
@@ -78,9 +75,8 @@ def _import_urdf(file: Path, controllers: Path | None, output: str) -> int:
 def _write_new_file(path: Path, data: bytes) -> None:
     from thorvaldc.diagnostics.files import write_file
 
-    with write_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            write_file(path, data, new=True)
-        except FileExistsError:
-            raise OutsideError(f"will not overwrite {path}; move it away or name another") from None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        write_file(path, data, new=True)
+    except FileExistsError:
+        raise OutsideError(f"will not overwrite {path}; move it away or name another") from None

@@ -10,7 +10,7 @@ from thorvaldc.compiler.extras.plugin_facts import numbers, walk
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.diagnostics import Report
 from thorvaldc.tools.importer.foreign_robot import ForeignRobot
-from thorvaldc.tools.importer.robot_text import Value
+from thorvaldc.tools.importer.robot_text import Value, angle
 
 _NAMES = {
     "lidar_2d": r"laser|lidar|lds|scan|scanner|rplidar|hokuyo|sick",
@@ -109,7 +109,10 @@ def _numbers(kind: str, sensor: Element) -> tuple[str, dict[str, Value]]:
 
     def keep(name: str, value: float | None, least: float, most: float) -> None:
         if value is not None and least < value <= most:
-            properties[name] = round(value) if name in _WHOLE else value
+            angle_names = ("field_of_view", "horizontal_field_of_view", "angular_resolution")
+            properties[name] = angle(value) if name in angle_names else value
+            if name in _WHOLE:
+                properties[name] = round(value)
 
     keep("rate", texts.get("sensor/update_rate"), 0.0, 1e6)
     if kind == "lidar_2d":
@@ -119,11 +122,12 @@ def _numbers(kind: str, sensor: Element) -> tuple[str, dict[str, Value]]:
         keep("range", texts.get("range/max"), 0.0, 1e4)
         keep("minimum_range", texts.get("range/min"), 0.0, texts.get("range/max", 0.0))
         low, high = texts.get("horizontal/min_angle", 0.0), texts.get("horizontal/max_angle", 0.0)
-        angle = min(high - low, math.tau)
-        keep("field_of_view", angle, 0.0, math.tau)
+        turn = min(high - low, math.tau)
+        turn = math.tau if turn > math.tau - 1e-3 else turn  # 6.28 in many files
+        keep("field_of_view", turn, 0.0, math.tau)
         rays = texts.get("horizontal/samples", 0.0)
         if rays > 1.0:
-            keep("angular_resolution", angle / (rays - 1.0), math.radians(0.01), angle)
+            keep("angular_resolution", turn / (rays - 1.0), math.radians(0.01), turn)
     elif kind == "camera":
         keep("horizontal_field_of_view", texts.get("camera/horizontal_fov"), 0.0, 3.12)
         keep("image_width", texts.get("image/width"), 0.5, 65535.0)

@@ -13,9 +13,12 @@ Modules of this package, in order::
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import os
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from thorvaldc.compiler.descriptions.description_rules import check_description
 from thorvaldc.compiler.descriptions.wheel_rules import (
@@ -23,7 +26,10 @@ from thorvaldc.compiler.descriptions.wheel_rules import (
     check_stated_sides,
     check_stated_wheels,
 )
-from thorvaldc.diagnostics import Report, plain
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.compiler.shapes.meshes import MAX_FILE_BYTES
+from thorvaldc.diagnostics import Report, Span, plain
+from thorvaldc.diagnostics.files import read_bounded, write_file
 from thorvaldc.model import Joint, Pose
 from thorvaldc.model.spatial import GRAVITY, norm, scale
 from thorvaldc.model.sums import float_sum
@@ -39,6 +45,7 @@ _FASTEST = 20.0  # m/s; a faster wheel has no real limit
 _ASSUMED_SPEED = 1.0  # m/s
 _ASSUMED_ACCELERATION = 1.0  # m/s^2
 _STEERING_SPEED = 2.0  # rad/s
+_ROTOR = 0.05  # share of the inertia that a motor moves
 _BALL_FRICTION = 0.1  # of a ball that also rolls sideways
 _OPTICAL = Pose.from_xyz_rpy((0.0, 0.0, 0.0), (-math.pi / 2.0, 0.0, -math.pi / 2.0))
 
@@ -73,6 +80,15 @@ def import_urdf(path: Path, controllers: Path | None = None) -> UrdfImport:
     if report.has_errors:
         result.files.clear()
     return result
+
+
+def write_files(files: Mapping[str, bytes | Path], folder: Path) -> None:
+    """Writes the files of an imported robot into a folder."""
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        data = read_bounded(content, MAX_FILE_BYTES) if isinstance(content, Path) else content
+        write_file(path, data, new=True)
 
 
 def _judge(robot: ForeignRobot, report: Report) -> None:
@@ -132,6 +148,7 @@ class _Conversion:
         bodies = [link.inertial for link in self.description.links.values()]
         self.weight = GRAVITY * float_sum(body.mass for body in bodies if body is not None)
         self.assumed: dict[str, None] = {}
+        self.entries: list[robot_text.Module] = []
 
     def write(self) -> None:
         """Adds the files of the robot to the result."""
@@ -140,6 +157,7 @@ class _Conversion:
         parts = list(self.parts(root))
         robot = robot_text.Robot(self.name, library=[LIBRARY], driver=self.driver_limits())
         robot.comments = [f"Imported from {self.file}. Each module names its link and joint."]
+        self.entries = robot.modules
         for part in parts:
             robot.modules.append(self.instance(part))
             for link, own in part.links.items():
@@ -152,7 +170,35 @@ class _Conversion:
                 self.description.links[root].span,
                 hint="correct the values in the modules; comments mark them",
             )
-        self.result.files["robot.yaml"] = robot_text.render(robot).encode()
+        text = robot_text.render(robot)
+        self.result.files["robot.yaml"] = text.encode()
+        accepted = self.check(text, {part.name: part for part in parts})
+        if accepted:
+            text += f"accept: {flow(accepted)}\n"
+            self.result.files["robot.yaml"] = text.encode()
+
+    def check(self, text: str, parts: Mapping[str, _Part]) -> list[Value]:
+        """Reports the errors that the robot has, at the links from which they come.
+
+        Returns the warnings that are no fault of a description, which the robot file accepts.
+        """
+        with TemporaryDirectory() as folder:
+            write_files(self.result.files, Path(folder))
+            compilation = compile_file(Path(folder, "robot.yaml"))
+        owners = {f"{LIBRARY}/{e.type}/module.yaml": e.name for e in self.entries[::-1]}
+        for error in compilation.report.errors:
+            span = error.span or Span("")
+            name = owners.get(os.path.relpath(span.file, folder), "")
+            if not name:
+                above = text.splitlines()[: span.line]
+                keys = [m[1] for line in above if (m := re.match(r"  ([a-z]\w*):", line))]
+                name = keys[-1] if keys else robot_text.ROOT_MODULE
+            link = self.description.links[parts[name].root]
+            self.report.add(error.code.name, error.message, link.span, hint=error.hint)
+        codes = {warning.code.name for warning in compilation.report.warnings}
+        return [
+            {"code": code, "reason": reason} for code, reason in _DRAWN.items() if code in codes
+        ]
 
     def driver_limits(self) -> dict[str, Value]:
         names = {
@@ -166,7 +212,9 @@ class _Conversion:
 
     # -- rigid parts ---------------------------------------------------------------------
 
-    def parts(self, root: str, joint: Joint | None = None, parent: _Part | None = None):  # type: ignore[no-untyped-def]
+    def parts(
+        self, root: str, joint: Joint | None = None, parent: _Part | None = None
+    ) -> Iterator[_Part]:
         """Yields the part of a link, and then the parts below it."""
         kind = self.kind(root, joint)
         name = robot_text.ROOT_MODULE
@@ -340,11 +388,20 @@ class _Conversion:
         torque: float,
         comments: list[str],
     ) -> None:
-        comments.append("no gear between motor and joint")
+        # Wheels that are much lighter than what they move would chatter in a simulation.
+        radius = max(tyre.radius for tyre in self.roles.wheels.values())
+        moved = self.weight / GRAVITY * radius * radius / len(self.roles.driven)
+        comments.append(
+            "no gear between motor and joint, and 5 % of the moved inertia in the rotor"
+        )
         self.assumed |= dict.fromkeys(comments)
         entry: dict[str, Value] = {"joint": own, "role": role, "gear_ratio": 1}
         entry |= {"motor_max_speed": speed, "max_acceleration": acceleration}
-        entry |= {"max_torque": torque, "source": f"estimated: {', '.join(comments)}"}
+        entry |= {
+            "max_torque": torque,
+            "rotor_inertia": _ROTOR * moved,
+            "source": f"estimated: {', '.join(comments)}",
+        }
         part.module.sections += ["motors:", f"  # assumed: {', '.join(comments)}"]
         part.module.sections.append(f"  {role}: {flow(entry)}")
 
@@ -369,11 +426,7 @@ class _Conversion:
         shift = Pose(scale(-1.0, ball.center))
         body = link.inertial
         if body is not None:
-            half = replace(
-                body.transformed(shift),
-                mass=body.mass / 2.0,
-                inertia=tuple(value / 2.0 for value in body.inertia),
-            )
+            half = body.transformed(shift).with_mass(body.mass / 2.0)
             module.add_mass("swivel", half)
             module.add_mass("ball", half)
         visuals = tuple(replace(v, pose=shift * v.pose) for v in link.visuals)
@@ -399,6 +452,10 @@ class _Conversion:
         module.sections.append(f"sensor: {flow(entry)}")
 
 
+_DRAWN = {
+    "part-loose": "the imported description draws no parts between its links",
+    "parts-overlap": "the shapes of the imported description overlap",
+}
 _OWN_NAMES = ("mount", "swivel", "tyre", "optical")
 _MAIN = {
     "wheel": "wheel",

@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from thorvaldc.compiler.descriptions.wheel_rules import tyre_of
+from thorvaldc.compiler.robot_checks import WHEEL_OFF_GROUND
 from thorvaldc.compiler.shapes.mesh_formats import mesh_triangles
-from thorvaldc.diagnostics import Report, Span, plain
+from thorvaldc.diagnostics import Report, Span, millimetres, plain
 from thorvaldc.model import Box, Cylinder, Joint, MeshShape, Pose, Shape, Sphere, Vec3
 from thorvaldc.model.spatial import add, dot, norm, scale, sub
 from thorvaldc.tools.importer.foreign_robot import ForeignRobot
@@ -25,7 +26,7 @@ _NEAR_GROUND = 0.005  # m, beside a tenth of the radius
 _KINDS = {
     "mecanum wheels": re.compile(r"(?i)mecanum"),
     "tracks": re.compile(r"(?i)(^|[^a-z])tracks?([^a-z]|$)|crawler|caterpillar|bunker"),
-    "omnidirectional wheels with rollers": re.compile(r"(?i)omni_?wheel|(^|_)omni(_|$)|swedish"),
+    "omnidirectional wheels with rollers": re.compile(r"(?i)omni_?wheel|wheel_?omni|omni_?drive"),
 }
 
 
@@ -86,6 +87,7 @@ def recognise(robot: ForeignRobot, report: Report) -> Roles | None:
             (roles.swivels if is_caster else roles.steering)[joint.name] = None
     _choose_driven(robot, roles, above, report)
     _find_balls(robot, roles, ground, report)
+    _stand(robot, roles, ground, report)
     if len(roles.wheels) + len(roles.balls) < 2 or not roles.driven:
         _report_none(robot, report)
         return None
@@ -104,6 +106,7 @@ def _is_unsupported(robot: ForeignRobot, report: Report) -> bool:
     names = {link.name: link.span for link in description.links.values()}
     names |= {joint.name: joint.span for joint in description.joints.values()}
     names |= robot.controller_types | {description.name: Span(description.file)}
+    names |= {path.name: Span(description.file) for path in robot.mesh_files.values()}
     for what, pattern in _KINDS.items():
         for name, span in names.items():
             if pattern.search(name):
@@ -142,8 +145,10 @@ def _turning_parts(robot: ForeignRobot) -> Iterator[tuple[str, Tyre]]:
         if not turns and not is_driven:
             continue
         axis = description.poses[joint.child].rotate(joint.axis)
-        if abs(axis[2]) > _HORIZONTAL:
-            continue
+        bodies = [description.links[n].inertial for n in description.rigid_part(joint.child)]
+        has_mass = any(body is not None and body.mass > 0.0 for body in bodies)
+        if abs(axis[2]) > _HORIZONTAL or not has_mass:
+            continue  # a wheel without mass stands for others, as that of a bicycle model
         tyre = _primitive(robot, joint) or _mesh_tyre(robot, joint)
         if tyre is not None:
             yield joint.name, tyre
@@ -235,13 +240,11 @@ def _choose_driven(
     """Chooses the driven wheels: the stated ones, or else all that do not swivel."""
     joints = robot.description.joints
     stated = [name for name in roles.wheels if name in robot.velocity_joints]
-    candidates = [
-        name
-        for name, tyre in roles.wheels.items()
-        if not tyre.is_round
-        and (above_it := _moving_joint_above(joints[name].parent, above), True)
-        and (above_it is None or above_it.name not in roles.swivels)
-    ]
+    candidates: list[str] = []
+    for name, tyre in roles.wheels.items():
+        upper = _moving_joint_above(joints[name].parent, above)
+        if not tyre.is_round and (upper is None or upper.name not in roles.swivels):
+            candidates.append(name)
     roles.driven = dict.fromkeys(stated or candidates)
     if not stated and candidates:
         shown = ", ".join(f"`{name}`" for name in candidates)
@@ -278,15 +281,39 @@ def _find_balls(robot: ForeignRobot, roles: Roles, ground: float, report: Report
             is_ball = isinstance(placed.shape, Sphere) or re.search(r"(?i)cast[eo]r|ball", name)
             if not is_ball or link.inertial is None or link.inertial.mass <= 0.0:
                 continue
-            tyre = _ball(robot, description.poses[name] * placed.pose, placed.shape, placed.span)
-            if tyre is None or abs(tyre.center[2] - tyre.radius - ground) > _NEAR_GROUND:
+            ball = _ball(robot, description.poses[name] * placed.pose, placed.shape, placed.span)
+            if ball is None or abs(ball.center[2] - ball.radius - ground) > _NEAR_GROUND:
                 continue
-            center = description.poses[name].inverse().apply(tyre.center)
-            roles.balls[name] = tyre._replace(center=center)
+            center = description.poses[name].inverse().apply(ball.center)
+            roles.balls[name] = ball._replace(center=center)
             if not isinstance(placed.shape, Sphere):
-                text = f"`{name}` is no sphere: it is a ball of radius {plain(tyre.radius, 4)} m"
+                text = f"`{name}` is no sphere: it is a ball of radius {plain(ball.radius, 4)} m"
                 report.add("import-assumed", text, placed.span)
             break
+
+
+def _stand(robot: ForeignRobot, roles: Roles, ground: float, report: Report) -> None:
+    """Makes the sizes that no shape states such that all wheels stand on the ground."""
+    links = [(roles.wheels, name, _child(robot, name)) for name in roles.wheels]
+    links += [(roles.balls, name, name) for name in roles.balls]
+    for tyres, name, link in links:
+        tyre = tyres[name]
+        gap = _lowest(robot, link, tyre) - ground
+        if abs(gap) <= WHEEL_OFF_GROUND:
+            continue
+        place = f"the wheel at `{name}` ends {millimetres(abs(gap))} " + (
+            "above the ground" if gap > 0.0 else "below the other wheels"
+        )
+        if tyre.is_mesh or tyres is roles.balls:
+            radius = tyre.radius + gap
+            width = tyre.width if tyre.is_mesh else 2.0 * radius
+            tyres[name] = tyre._replace(radius=radius, width=width)
+            sizes = f"{plain(radius, 4)} m, not {plain(tyre.radius, 4)} m"
+            text = f"{place}: its radius is taken as {sizes}"
+            report.add("import-assumed", text, tyre.span)
+        else:
+            hint = "correct its radius, or the height of its joint"
+            report.add("wheel-off-ground", place, tyre.span, hint=hint)
 
 
 def _child(robot: ForeignRobot, joint: str) -> str:
