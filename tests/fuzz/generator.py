@@ -99,7 +99,15 @@ RUN = "--bus virtual --fast --duration 0.1"
 @functools.cache
 def kinds() -> tuple[Kind, ...]:
     """Returns all kinds of files."""
-    return (*_documents(), *_bus_files(), *_logs(), *_shapes(), *_others(), *_audited())
+    return (
+        *_documents(),
+        *_bus_files(),
+        *_logs(),
+        *_shapes(),
+        *_others(),
+        *_imported(),
+        *_audited(),
+    )
 
 
 def _read(path: str) -> bytes:
@@ -561,6 +569,57 @@ def _shapes() -> list[Kind]:
         Kind("glb", commands, of(["glb"]), (mutations.change_glb,), writes=("out",), weight=0.3),
         Kind("glTF", commands, of(["gltf"]), JSON, writes=("out",), weight=0.3),
         Kind("Collada", commands, of(["dae"]), XML, writes=("out",), weight=0.4),
+    ]
+
+
+_BODY = """
+  <link name="{0}"><inertial><mass value="{1}"/>
+    <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial>
+    <collision><geometry>{2}</geometry></collision></link>"""
+_HINGE = """
+  <joint name="{0}" type="{1}"><origin xyz="{2}" rpy="{3}"/><parent link="base"/>
+    <child link="{4}"/><axis xyz="0 0 1"/></joint>"""
+CART = (
+    '<robot name="cart">'
+    + _BODY.format("base", 8, '<box size="0.5 0.3 0.1"/>')
+    + _BODY.format("left", 1, '<cylinder radius="0.1" length="0.04"/>')
+    + _BODY.format("right", 1, '<mesh filename="mesh.stl" scale="0.1 0.1 0.1"/>')
+    + _BODY.format("caster", 0.5, '<sphere radius="0.04"/>')
+    + _BODY.format("camera", 0.2, '<box size="0.05 0.05 0.05"/>')
+    + _HINGE.format("left_spin", "continuous", "0.1 0.2 0", "-1.5708 0 0", "left")
+    + _HINGE.format("right_spin", "continuous", "0.1 -0.2 0", "-1.5708 0 0", "right")
+    + _HINGE.format("ball", "fixed", "-0.2 0 -0.06", "0 0 0", "caster")
+    + _HINGE.format("mast", "fixed", "0.2 0 0.1", "0 0 0", "camera")
+    + """
+  <gazebo reference="camera"><sensor type="camera"><update_rate>10</update_rate></sensor></gazebo>
+  <ros2_control name="c" type="system"><joint name="left_spin">
+    <command_interface name="velocity"/></joint></ros2_control>
+</robot>
+"""
+)
+CONTROLLERS = b"""\
+drive:
+  ros__parameters:
+    left_wheel_names: [left_spin]
+    right_wheel_names: [right_spin]
+    wheel_radius: 0.1
+    wheel_separation: 0.4
+    linear.x.max_velocity: 0.5
+"""
+
+
+def _imported() -> list[Kind]:
+    files = {
+        "cart.urdf": CART.encode(),
+        "controllers.yaml": CONTROLLERS,
+        "mesh.stl": meshes()["stl"],
+    }
+    command = ("import cart.urdf controllers.yaml -o out",)
+    return [
+        Kind("imported URDF", command, [("cart.urdf", files)], XML, writes=("out",), weight=0.7),
+        Kind(
+            "controllers", command, [("controllers.yaml", files)], YAML, writes=("out",), weight=0.3
+        ),
     ]
 
 
