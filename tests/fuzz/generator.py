@@ -99,10 +99,11 @@ RUN = "--bus virtual --fast --duration 0.1"
 @functools.cache
 def kinds() -> tuple[Kind, ...]:
     """Returns all kinds of files."""
-    from tests.fuzz.library_archives import library_kinds  # which needs `Kind`
+    from tests.fuzz.imported_files import imported_kinds  # which need `Kind`
+    from tests.fuzz.library_archives import library_kinds
 
-    known = (*_documents(), *_bus_files(), *_logs(), *_shapes(), *_others(), *_audited())
-    return (*known, *library_kinds())
+    known = (*_documents(), *_bus_files(), *_logs(), *_shapes(), *_others())
+    return (*known, *imported_kinds(), *_audited(), *library_kinds())
 
 
 def _read(path: str) -> bytes:
@@ -566,7 +567,6 @@ def _shapes() -> list[Kind]:
 
 
 def _others() -> list[Kind]:
-    originals = sorted((ROOT / "tests/tools/importer/originals").glob("*.yaml"))
     plugin = {
         "robot.yaml": GOOD.replace("modules:", "base_calculator: other\nmodules:", 1).encode(),
         "plugins/other-1.dist-info/METADATA": b"Metadata-Version: 2.1\nName: other\nVersion: 1\n",
@@ -577,31 +577,6 @@ def _others() -> list[Kind]:
         "plugins/other_part.py": b"class Other:\n    name = 'other'\n",
     }
     return [
-        Kind(
-            "original configuration",
-            ("import original.yaml", "import original.yaml -o out/robot.yaml"),
-            [("original.yaml", {"original.yaml": path.read_bytes()}) for path in originals],
-            YAML,
-            writes=("out",),
-            weight=1.5,
-        ),
-        Kind(
-            "DBC",
-            ("modules from-dbc battery/mine mine.dbc --node BMS --library out",),
-            [("mine.dbc", {"mine.dbc": _read("tests/tools/device_files/battery.dbc")})],
-            TEXT,
-            writes=("out",),
-        ),
-        Kind(
-            "EDS",
-            ("modules from-eds controller/mine mine.eds --library out",),
-            [
-                ("mine.eds", {"mine.eds": _read(f"tests/tools/device_files/{name}.eds")})
-                for name in ("io", "drive")
-            ],
-            TEXT,
-            writes=("out",),
-        ),
         Kind(
             "plug-in",
             ("targets", "check robot.yaml", "build robot.yaml -o out -t urdf,other"),

@@ -380,6 +380,7 @@ _TABLE: tuple[Code, ...] = (
     _note("TV936", "import-left-out", "a value of an imported file cannot be converted"),
     _warning("TV937", "import-assumed", "the import assumes a value that a file does not give"),
     _warning("TV938", "import-duplicate-key", "an original file contains the same key twice"),
+    _error("TV939", "import-no-base", "a description has no wheels that can be imported"),
     _note("TV940", "audit-file-skipped", "the audit does not read a file"),
     _note("TV941", "audit-limit", "a folder has more files than the audit reads"),
     _error("TV942", "audit-nothing-found", "a folder contains no robot files"),

@@ -214,7 +214,7 @@ def _text(node: Node) -> str:
 # Errors of mesh files.  A mesh that is only for the eye is then replaced.
 _UNREADABLE = ("mesh-missing", "mesh-format", "mesh-invalid", "mesh-large", "extra-forbidden")
 # Errors of the xacro expansion: kind of error -> (name of the diagnostic code, message, hint).
-_FAILURES = {
+FAILURES = {
     "xml": ("extra-xml", "the xacro file is not well-formed XML: {text}", None),
     "root": ("extra-xml", "the root element of a xacro file must be <robot>, not {text}", None),
     "limit": (
@@ -270,17 +270,47 @@ def _read_parts(
         _report_empty(entry, expanded.macros, report)
         return None
     stem = re.sub(r"\W+", "_", entry.request.file.name.split(".")[0].lower())
-    search = xacro_expand.search_paths()
+    load = MeshLoader(entry.request.packages, paths, readable, report, (file_label,))
+    macros = [macro.name for macro in expanded.macros]
+    parts = read_urdf(expanded.elements, f"extras.{stem}", load, report, macros, entry.density)
+    folders = {**expanded.packages, **entry.request.packages}
+    extensions = tuple(_without_folders(xml, folders, paths) for xml in parts.extensions)
+    return replace(parts, extensions=extensions)
 
-    def load(name: str, element: xacro_expand.Element, scale: Vec3, is_visual: bool) -> Mesh | None:
-        path = _mesh_path(name, element, entry, search, report)
+
+class MeshLoader:
+    """Loads the mesh files that the elements of an expanded file name.
+
+    - ``packages``: folder of each ROS package that the user names.
+    - ``readable``: folders from which meshes may be read, or ``None`` for all.
+    - ``labels``: labels of errors about packages.
+    - ``files``: path of each mesh file that was read, by the name of the mesh.
+    """
+
+    def __init__(
+        self,
+        packages: Mapping[str, str],
+        paths: xacro_expand.DisplayPaths,
+        readable: Sequence[str] | None,
+        report: Report,
+        labels: Sequence[Label] = (),
+    ) -> None:
+        self.packages, self.paths, self.readable = dict(packages), paths, readable
+        self.report, self.labels = report, labels
+        self.search = xacro_expand.search_paths()
+        self.files: dict[str, Path] = {}
+
+    def __call__(
+        self, name: str, element: xacro_expand.Element, scale: Vec3, is_visual: bool
+    ) -> Mesh | None:
+        path = self._path(name, element)
         if path is None:
             return None
         diagnostics = Report()
-        display = paths.name(str(path))
+        display = self.paths.name(str(path))
         mesh = None
-        if readable is not None and path.exists() and not is_below(path, readable):
-            code, message, hint = _FAILURES["forbidden"]
+        if self.readable is not None and path.exists() and not is_below(path, self.readable):
+            code, message, hint = FAILURES["forbidden"]
             text = f"the mesh file `{display}` is outside of the folders that may be read"
             diagnostics.add(code, message.format(text=text), element.span, hint=hint)
         else:
@@ -294,7 +324,7 @@ def _read_parts(
             )
         for d in diagnostics:
             if is_visual and d.code.name in _UNREADABLE:
-                report.add(
+                self.report.add(
                     "extra-visual-mesh",
                     f"{d.message}; the collision shapes of the link or a small box are shown",
                     d.span,
@@ -302,14 +332,38 @@ def _read_parts(
                     labels=call_labels(element),
                 )
             else:
-                report.put(d)
+                self.report.put(d)
+        if mesh is not None:
+            self.files.setdefault(mesh.name, path)
         return mesh
 
-    macros = [macro.name for macro in expanded.macros]
-    parts = read_urdf(expanded.elements, f"extras.{stem}", load, report, macros, entry.density)
-    folders = {**expanded.packages, **entry.request.packages}
-    extensions = tuple(_without_folders(xml, folders, paths) for xml in parts.extensions)
-    return replace(parts, extensions=extensions)
+    def _path(self, name: str, element: xacro_expand.Element) -> Path | None:
+        scheme, separator, rest = name.partition("://")
+        if not separator:
+            return element.file.parent / name
+        if scheme == "file":
+            return element.file.parent / rest
+        if scheme in ("package", "model"):
+            package, _, inside = rest.partition("/")
+            folder = find_package(package, self.packages, self.search, str(element.file))
+            if folder is not None:
+                return Path(folder) / inside
+            code, message, hint = FAILURES["package"]
+            self.report.add(
+                code,
+                message.format(text=package),
+                element.span,
+                hint=(hint or "").format(text=package),
+                labels=[*call_labels(element), *self.labels],
+            )
+            return None
+        self.report.add(
+            "mesh-missing",
+            f"mesh file `{name}`: the URL scheme `{scheme}` is not supported",
+            element.span,
+            hint="use a path relative to the xacro file, package:// or file://",
+        )
+        return None
 
 
 def _report_unused(entry: _Entry, expanded: xacro_expand.ExpandedFile, report: Report) -> None:
@@ -337,7 +391,7 @@ def _report_failure(
     failure: xacro_expand.ExpansionFailure,
     report: Report,
 ) -> None:
-    code, message, hint = _FAILURES[failure.kind]
+    code, message, hint = FAILURES[failure.kind]
     labels = [Label(span, text) for span, text in failure.trail]
     report.add(
         code,
@@ -358,41 +412,6 @@ def _without_folders(
         for folder in (f"file://{packages[name]}", packages[name]):
             xml = re.sub(re.escape(folder.rstrip("/")) + r"(?=[/\"'<\s])", f"package://{name}", xml)
     return paths.text(xml)
-
-
-def _mesh_path(
-    name: str,
-    element: xacro_expand.Element,
-    entry: _Entry,
-    search: dict[str, Sequence[str]],
-    report: Report,
-) -> Path | None:
-    scheme, separator, rest = name.partition("://")
-    if not separator:
-        return element.file.parent / name
-    if scheme == "file":
-        return element.file.parent / rest
-    if scheme in ("package", "model"):
-        package, _, inside = rest.partition("/")
-        folder = find_package(package, entry.request.packages, search, str(element.file))
-        if folder is not None:
-            return Path(folder) / inside
-        code, message, hint = _FAILURES["package"]
-        report.add(
-            code,
-            message.format(text=package),
-            element.span,
-            hint=(hint or "").format(text=package),
-            labels=[*call_labels(element), Label(entry.span, "the file is named here")],
-        )
-        return None
-    report.add(
-        "mesh-missing",
-        f"mesh file `{name}`: the URL scheme `{scheme}` is not supported",
-        element.span,
-        hint="use a path relative to the xacro file, package:// or file://",
-    )
-    return None
 
 
 def _expression_hint(text: str, macros: Sequence[xacro_expand.Macro]) -> str | None:

@@ -14,7 +14,14 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
+from thorvaldc.compiler.descriptions.facts import FileDescription, UnreadableFileError
+from thorvaldc.compiler.descriptions.parameter_files import (
+    controller_facts,
+    read_yaml,
+    sections,
+)
 from thorvaldc.compiler.extras import xacro_expand
+from thorvaldc.compiler.extras.plugin_facts import walk
 from thorvaldc.compiler.extras.xacro_expand import Element, ExpandedFile
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.files import read_bounded
@@ -24,9 +31,9 @@ from thorvaldc.tools.audit import (
     drive_rules,
     launch_files,
     name_rules,
-    parameter_files,
+    parameter_facts,
 )
-from thorvaldc.tools.audit.audit_facts import Evidence, FileDescription, UnreadableFileError
+from thorvaldc.tools.audit.audit_facts import Evidence
 from thorvaldc.tools.audit.mjcf_description import read_mjcf_description
 from thorvaldc.tools.audit.sdf_description import read_sdf
 
@@ -84,9 +91,9 @@ def audit(names: Sequence[str], *, trust: bool = False) -> Audit:
     _Expansion(result, trust).read_files(reader.urdf_files)
     known = {name for description in evidence.descriptions for name in description.joints}
     for section in evidence.sections:
-        evidence.facts += parameter_files.controller_facts(section, known)
-        evidence.facts += parameter_files.node_facts(section)
-    evidence.facts += parameter_files.launched_facts(evidence)
+        evidence.facts += controller_facts(section, known)
+        evidence.facts += parameter_facts.node_facts(section)
+    evidence.facts += parameter_facts.launched_facts(evidence)
     read = (evidence.descriptions, evidence.sections, evidence.launches, evidence.facts)
     if not any(read) and not len(report):
         shown = ", ".join(f"`{name}`" for name in names)
@@ -135,9 +142,9 @@ class _Reader:
         is_launch = b"launch:" in data and ".launch" in file.path.name
         if not is_parameters and not is_launch:
             return
-        document = parameter_files.read_yaml(data, file.display, self.report)
+        document = read_yaml(data, file.display, self.report)
         if document is not None and is_parameters:
-            self.evidence.sections += parameter_files.sections(document, file.display, file.path)
+            self.evidence.sections += sections(document, file.display, file.path)
         elif document is not None:
             self.evidence.launches.append(launch_files.read_yaml(document, file.display, file.path))
 
@@ -159,7 +166,7 @@ class _Reader:
         included = {
             Path(element.attributes.get("file", "")).name
             for _, root in self.mjcf_files.values()
-            for element in descriptions.walk(root)
+            for element in walk(root)
             if element.tag in ("include", "model")
         }
         for path, (file, root) in self.mjcf_files.items():

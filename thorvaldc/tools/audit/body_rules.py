@@ -12,6 +12,7 @@ from urllib.parse import unquote
 
 from thorvaldc.compiler.descriptions.description import PlacedShape
 from thorvaldc.compiler.descriptions.description_rules import MAX_LENGTH, check_description
+from thorvaldc.compiler.descriptions.facts import Fact, FileDescription, ParameterSection
 from thorvaldc.compiler.shapes.meshes import load_mesh, shared_mesh_workers
 from thorvaldc.compiler.shapes.solids import measures
 from thorvaldc.diagnostics import Label, Report, Span, plain
@@ -93,9 +94,7 @@ def _meshes(evidence: facts.Evidence) -> list[_LinkMesh]:
     return meshes
 
 
-def _mesh_path(
-    name: str, description: facts.FileDescription, evidence: facts.Evidence
-) -> Path | None:
+def _mesh_path(name: str, description: FileDescription, evidence: facts.Evidence) -> Path | None:
     for scheme in ("package://", "model://", "$(find "):
         if name.startswith(scheme):
             return evidence.file_in_package(
@@ -130,17 +129,17 @@ FOOTPRINT_TOLERANCE = 0.02  # m
 Point = tuple[float, float]
 
 
-def footprint_of(section: facts.ParameterSection) -> facts.Fact | None:
+def footprint_of(section: ParameterSection) -> Fact | None:
     """Returns the polygon (m) or the radius (m) of a costmap, or ``None``."""
     subject = f"`{section.node}`"
     node = section.values.get("footprint")
     if node is not None and isinstance(node.value, str) and len(node.value) < 10_000:
         polygon = _polygon(node.value)
         if polygon is not None:
-            return facts.Fact("footprint", subject, polygon, node.span, "m")
+            return Fact("footprint", subject, polygon, node.span, "m")
     radius = section.number("robot_radius")
     if radius is not None and radius > 0.0:
-        return facts.Fact("footprint", subject, radius, section.values["robot_radius"].span, "m")
+        return Fact("footprint", subject, radius, section.values["robot_radius"].span, "m")
     return None
 
 
@@ -155,7 +154,7 @@ def _polygon(text: str) -> tuple[Point, ...] | None:
 
 def check_footprints_agree(evidence: facts.Evidence, report: Report) -> None:
     """Reports costmaps of one file with different footprints."""
-    by_file: dict[str, facts.Fact] = {}
+    by_file: dict[str, Fact] = {}
     for section in evidence.sections:
         fact = footprint_of(section)
         if fact is None or not section.short_name.endswith("costmap"):
@@ -173,7 +172,7 @@ def check_footprints_agree(evidence: facts.Evidence, report: Report) -> None:
             )
 
 
-def _shown(fact: facts.Fact) -> str:
+def _shown(fact: Fact) -> str:
     if isinstance(fact.value, tuple):
         points = ", ".join(f"[{x:g}, {y:g}]" for x, y in fact.value[:8])
         return f"[{points}{', ...' if len(fact.value) > 8 else ''}]"
@@ -206,7 +205,7 @@ def check_footprints_cover(evidence: facts.Evidence, report: Report) -> None:
 
 
 def farthest_outside(
-    description: facts.FileDescription, base: str, fact: facts.Fact
+    description: FileDescription, base: str, fact: Fact
 ) -> tuple[float, str, PlacedShape] | None:
     """Returns how far a body stands out of a footprint (m; negative: inside), and its shape.
 
@@ -261,7 +260,7 @@ def _outline(shape: PlacedShape, X_BL: Pose) -> list[Point]:
 _CIRCLE = [(math.cos(i * math.pi / 12), math.sin(i * math.pi / 12)) for i in range(24)]
 
 
-def _distance(fact: facts.Fact, x: float, y: float) -> float:
+def _distance(fact: Fact, x: float, y: float) -> float:
     """Returns the distance of a point from a footprint in m, negative inside."""
     if not isinstance(fact.value, tuple):
         return math.hypot(x, y) - float(fact.value)

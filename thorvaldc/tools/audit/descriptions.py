@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
+from thorvaldc.compiler.descriptions.facts import UNLIMITED, FileDescription, UnreadableFileError
+from thorvaldc.compiler.extras.plugin_facts import numbers, plugin_facts, ros2_control_facts
 from thorvaldc.compiler.extras.urdf_reader import read_urdf
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.model import Joint, Link, Mesh, Pose, Vec3
-from thorvaldc.tools.audit.audit_facts import UNLIMITED, Fact, FileDescription, UnreadableFileError
 
 # -- XML files, without document types and entities -------------------------------------
 
@@ -69,29 +70,10 @@ def read_xml(data: bytes, display: str, path: Path) -> Element:
     return stack[0][2][0]
 
 
-def numbers(text: str | None, count: int) -> tuple[float, ...] | None:
-    """Returns the ``count`` numbers of a text, or ``None`` if it does not contain them."""
-    if text is None:
-        return None
-    try:
-        values = tuple(float(word) for word in text.split())
-    except ValueError:
-        return None
-    return values if len(values) == count and all(abs(v) < 1e300 for v in values) else None
-
-
 def vector(text: str | None, default: Vec3 = (0.0, 0.0, 0.0)) -> Vec3:
     """Returns the vector in a text, or the default if the text does not contain three numbers."""
     values = numbers(text, 3)
     return default if values is None else (values[0], values[1], values[2])
-
-
-def walk(element: Element) -> list[Element]:
-    """Returns an element and all elements in it, in the order of the file."""
-    elements = [element]
-    for child in element.children:
-        elements += walk(child)
-    return elements
 
 
 # -- URDF elements ----------------------------------------------------------------------
@@ -200,92 +182,3 @@ _LIMITS = ("lower", "upper", "velocity", "effort")
 
 def _text(values: Sequence[float]) -> str:
     return " ".join(map(repr, values))
-
-
-# -- plug-ins of Gazebo and ``<ros2_control>`` ------------------------------------------
-
-# Lengths of drive plug-ins, by their names without capitals and `_`: kind and factor to m.
-_GEOMETRY = {
-    "wheelradius": ("wheel radius", 1.0),
-    "wheeldiameter": ("wheel radius", 0.5),
-    "wheelseparation": ("wheel separation", 1.0),
-    "wheelbase": ("wheelbase", 1.0),
-}
-
-
-def plugin_facts(element: Element) -> list[Fact]:
-    """Returns the statements of all plug-ins in a ``<gazebo>`` or ``<model>`` element."""
-    facts: list[Fact] = []
-    reference = element.attributes.get("reference")
-    if element.tag == "gazebo" and reference:
-        facts.append(Fact("gazebo reference", "<gazebo>", reference, element.span))
-    for plugin in walk(element):
-        if plugin.tag == "plugin":
-            facts += _facts_of(plugin)
-    return facts
-
-
-def _facts_of(plugin: Element) -> list[Fact]:
-    name = plugin.attributes.get("name") or plugin.attributes.get("filename", "")
-    subject = f"plug-in `{name}`"
-    facts: list[Fact] = []
-    values = [(child.tag.replace("_", "").lower(), child) for child in plugin.children]
-    joints = [
-        (key, child)
-        for key, child in values
-        if (key.endswith("joint") and ("left" in key or "right" in key)) or key == "jointname"
-    ]
-    wheels = [(key, child.text) for key, child in joints if "steering" not in key]
-    left, right, front, back, rear = (
-        tuple(joint for key, joint in wheels if side in key)
-        for side in ("left", "right", "front", "back", "rear")
-    )
-    sides = {
-        "wheel radius": (*left, *right),
-        "wheel separation": (*left, "", *right),
-        "wheelbase": (*front, "", *back, *rear),
-    }
-    facts += [Fact("joint", subject, child.text, child.span) for _, child in joints]
-    for key, child in values:
-        kind, factor = _GEOMETRY.get(key, ("", 0.0))
-        length = numbers(child.text, 1)
-        if key == "publishodomtf" and child.text in ("true", "1"):
-            frames = [frame.text.strip("/") for name, frame in values if name == "odometryframe"]
-            shown, names = f"{subject} ({child.tag})", tuple(frames or ["odom"])
-            facts.append(Fact("plug-in transform", shown, True, child.span, "", names))
-        elif kind and length is not None:
-            facts.append(Fact(kind, subject, factor * length[0], child.span, "m", sides[kind]))
-    return facts
-
-
-def ros2_control_facts(element: Element) -> list[Fact]:
-    """Returns the joints of a ``<ros2_control>`` element and their limits."""
-    facts: list[Fact] = []
-    subject = f'<ros2_control name="{element.attributes.get("name", "")}">'
-    for child in element.children:
-        name = child.attributes.get("name", "")
-        if child.tag == "hardware":
-            facts += [
-                Fact("joint", subject, parameter.text, parameter.span)
-                for parameter in child.children
-                if parameter.attributes.get("name", "").endswith("wheel_name")
-            ]
-        elif child.tag == "joint":
-            facts.append(Fact("joint", subject, name, child.span))
-            facts += _interface_facts(child, name, subject)
-    return facts
-
-
-def _interface_facts(joint: Element, name: str, subject: str) -> list[Fact]:
-    facts: list[Fact] = []
-    for child in joint.children:
-        interface = child.attributes.get("name", "")
-        if child.tag != "command_interface":
-            continue
-        for parameter in child.children:
-            limit = parameter.attributes.get("name", "")
-            values = numbers(parameter.text, 1)
-            if values is not None and limit in ("min", "max"):
-                kind = f"{interface} {limit}"
-                facts.append(Fact(kind, subject, values[0], parameter.span, "", (name,)))
-    return facts

@@ -14,11 +14,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from thorvaldc.compiler.descriptions.facts import Fact, UnreadableFileError
+from thorvaldc.compiler.extras.plugin_facts import walk
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Span
 from thorvaldc.tools.audit import audit_facts as facts
-from thorvaldc.tools.audit.descriptions import walk
 
 # -- Python ------------------------------------------------------------------------------
 
@@ -55,7 +56,7 @@ def read_python(data: bytes, file: str, path: Path) -> facts.LaunchFile:
         children = tuple(_PythonElements(tree, file, path).of(tree))
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         line = f" (line {error.lineno})" if isinstance(error, SyntaxError) else ""
-        raise facts.UnreadableFileError(f"it is not Python{line}") from None
+        raise UnreadableFileError(f"it is not Python{line}") from None
     return read_xml(Element("launch", {}, children, "", Span(file), (), path), file, path)
 
 
@@ -298,7 +299,7 @@ def read_xml(root: Element, file: str, path: Path) -> facts.LaunchFile:
             if child.tag == "include":
                 name = substituted(attributes.get("file", ""), defaults)
                 if name is not None:
-                    fact = facts.Fact("launch file", "launch file", name, child.span)
+                    fact = Fact("launch file", "launch file", name, child.span)
                     passed = {
                         arg.attributes.get("name", ""): arg.attributes.get("value")
                         for arg in child.children
@@ -362,8 +363,8 @@ def _node_of(
     element: Element, defaults: dict[str, str], conditional: bool, namespace: str
 ) -> facts.LaunchedNode:
     attributes = element.attributes
-    parameters: dict[str, facts.Fact] = {}
-    files: list[facts.Fact] = []
+    parameters: dict[str, Fact] = {}
+    files: list[Fact] = []
     remappings: list[tuple[str, str]] = []
     for child in element.children:
         if child.tag == "remap":
@@ -375,9 +376,9 @@ def _node_of(
         text = substituted(source or child.attributes.get("value", ""), defaults)
         if not source:
             value = text if child.attributes.get("type") == "str" else _scalar(text)
-            parameters[name] = facts.Fact("parameter", name, value, child.span)
+            parameters[name] = Fact("parameter", name, value, child.span)
         elif text is not None:
-            files.append(facts.Fact("parameter file", name, text, child.span))
+            files.append(Fact("parameter file", name, text, child.span))
     return facts.LaunchedNode(
         package=attributes.get("pkg", ""),
         executable=attributes.get("exec", attributes.get("type", attributes.get("plugin", ""))),
@@ -464,7 +465,7 @@ def _filled(text: str, values: Mapping[str, str]) -> str:
     return _VARIABLE.sub(lambda match: values.get(match[1], f"<{match[1]}>"), text)
 
 
-def resolved(fact: facts.Fact, launch: facts.LaunchFile, evidence: facts.Evidence) -> Path | None:
+def resolved(fact: Fact, launch: facts.LaunchFile, evidence: facts.Evidence) -> Path | None:
     """Returns the path of a file that a launch file names, or ``None`` outside of the audit."""
     name = str(fact.value)
     if name.startswith("package://"):

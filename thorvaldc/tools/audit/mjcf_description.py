@@ -10,11 +10,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from thorvaldc.compiler.descriptions.facts import FileDescription
+from thorvaldc.compiler.extras.plugin_facts import numbers
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Pose, Vec3, spatial
-from thorvaldc.tools.audit.audit_facts import FileDescription
-from thorvaldc.tools.audit.descriptions import UrdfElements, numbers, read_description, vector
+from thorvaldc.tools.audit.descriptions import UrdfElements, read_description, vector
 
 Include = Callable[[str, Element], Element | None]
 MAX_INCLUDES = 50

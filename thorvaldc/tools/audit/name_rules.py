@@ -5,17 +5,16 @@ Each transform has one owner.
 
 from __future__ import annotations
 
+from thorvaldc.compiler.descriptions.facts import Fact, FileDescription
 from thorvaldc.diagnostics import Label, Report, did_you_mean
 from thorvaldc.tools.audit.audit_facts import (
     Evidence,
-    Fact,
-    FileDescription,
     LaunchedNode,
     closest,
     is_nearer,
 )
 from thorvaldc.tools.audit.launch_files import launched_nodes, resolved
-from thorvaldc.tools.audit.parameter_files import published_frames
+from thorvaldc.tools.audit.parameter_facts import published_frames
 
 
 def check_joint_names(evidence: Evidence, report: Report) -> None:

@@ -6,16 +6,15 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
+from thorvaldc.compiler.descriptions.facts import FileDescription
+from thorvaldc.compiler.extras.plugin_facts import numbers, plugin_facts
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Pose, Vec3
 from thorvaldc.model.spatial import scale
-from thorvaldc.tools.audit.audit_facts import FileDescription
 from thorvaldc.tools.audit.descriptions import (
     UrdfElements,
     check_tree,
-    numbers,
-    plugin_facts,
     read_description,
     vector,
 )

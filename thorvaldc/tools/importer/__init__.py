@@ -1,11 +1,11 @@
-"""Converts files of the original system to robot.yaml; begin at ``original_import``."""
+"""Converts files of others to robot.yaml; begin at ``original_import`` and ``urdf_import``."""
 
 from thorvaldc.tool_folders import CommandEntry
 
 COMMANDS = (
     CommandEntry(
         "import",
-        "import_command:import_original",
-        "Convert a configuration of the original Thorvald system.",
+        "import_command:import_file",
+        "Convert a URDF, or a configuration of the original Thorvald system.",
     ),
 )

@@ -1,4 +1,4 @@
-"""The command ``thorvaldc import``: converts a configuration of the original Thorvald system."""
+"""The command ``thorvaldc import``: converts files of others to a robot.yaml."""
 
 from __future__ import annotations
 
@@ -8,38 +8,75 @@ from typing import Annotated
 import typer
 
 from thorvaldc.cli.diagnostic_output import show_report
-from thorvaldc.cli.exits import OutsideError
+from thorvaldc.cli.exits import INPUT, OutsideError, write_errors
+
+_DESCRIPTIONS = (".urdf", ".xacro")
 
 
-def import_original(
+def import_file(
     file: Annotated[
         str,
         typer.Argument(
-            metavar="FILE", help="A configuration file of the original Thorvald system."
+            metavar="FILE",
+            help="A configuration file of the original Thorvald system, or a URDF or xacro file.",
         ),
     ],
+    controllers: Annotated[
+        str,
+        typer.Argument(
+            metavar="[CONTROLLERS]", help="ROS parameter file of the controllers of a URDF."
+        ),
+    ] = "",
     output: Annotated[
         str,
-        typer.Option("--output", "-o", metavar="OUT", help="File to write.", show_default="stdout"),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="OUT",
+            help="File to write; of a URDF or xacro file, the folder.",
+            show_default="stdout",
+        ),
     ] = "",
 ) -> int:
+    if Path(file).suffix.lower() in _DESCRIPTIONS:
+        return _import_urdf(Path(file), Path(controllers) if controllers else None, output)
+    if controllers:
+        raise typer.BadParameter("only a URDF or xacro file has controllers")
     from thorvaldc.tools.importer.original_import import import_original as convert
 
     result = convert(Path(file))
     status = show_report(result.report, {file: Path(file)})
     if result.text is not None and output:
-        _write_new_file(Path(output), result.text)
+        _write_new_file(Path(output), result.text.encode())
         print(output)
     elif result.text is not None:
         print(result.text, end="")
     return status
 
 
-def _write_new_file(path: Path, text: str) -> None:
+def _import_urdf(file: Path, controllers: Path | None, output: str) -> int:
+    from thorvaldc.tools.importer.urdf_import import import_urdf, write_files
+
+    if not output:
+        raise typer.BadParameter("name the folder of the robot: -o FOLDER", param_hint="'-o'")
+    folder = Path(output)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise OutsideError(f"will not write into {folder}: it exists; name another folder")
+    imported = import_urdf(file, controllers)
+    status = show_report(imported.report, imported.sources)
+    if status == INPUT or not imported.files:
+        return status
+    with write_errors(folder):
+        write_files(imported.files, folder)
+    print(folder / "robot.yaml")
+    return status
+
+
+def _write_new_file(path: Path, data: bytes) -> None:
     from thorvaldc.diagnostics.files import write_file
 
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        write_file(path, text, new=True)
+        write_file(path, data, new=True)
     except FileExistsError:
         raise OutsideError(f"will not overwrite {path}; move it away or name another") from None

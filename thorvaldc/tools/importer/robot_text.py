@@ -59,6 +59,7 @@ class Robot:
     comments: list[str] = field(default_factory=list)
     namespace: str = ""
     base_calculator: str = "general"
+    library: list[Value] = field(default_factory=list)
     driver: dict[str, Value] = field(default_factory=dict)
     defaults: dict[str, Value] = field(default_factory=dict)
     modules: list[Module] = field(default_factory=list)
@@ -69,6 +70,8 @@ def render(robot: Robot) -> str:
     lines = [*_comments(robot.comments, ""), "thorvaldc: 1", f"name: {robot.name}"]
     if robot.namespace:
         lines.append(f"namespace: {robot.namespace}")
+    if robot.library:
+        lines.append(f"library: {flow(robot.library)}")
     lines.append(f"base_calculator: {robot.base_calculator}")
     if robot.driver:
         lines.append(f"driver: {flow(robot.driver)}")

@@ -1,0 +1,233 @@
+"""Reads a URDF or xacro file of others, and the parameters of its controllers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from thorvaldc.compiler.descriptions.facts import (
+    Fact,
+    FileDescription,
+    ParameterSection,
+    UnreadableFileError,
+)
+from thorvaldc.compiler.descriptions.parameter_files import (
+    LEFT,
+    RIGHT,
+    STEERING,
+    TRACTION,
+    controller_facts,
+    flattened,
+    plain_names,
+    read_yaml,
+    sections,
+)
+from thorvaldc.compiler.extras import xacro_expand
+from thorvaldc.compiler.extras.load_extras import FAILURES, MeshLoader
+from thorvaldc.compiler.extras.plugin_facts import plugin_facts, ros2_control_facts, walk
+from thorvaldc.compiler.extras.urdf_reader import UrdfParts, read_urdf
+from thorvaldc.compiler.extras.xacro_expand import Element
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
+from thorvaldc.diagnostics.files import read_bounded
+from thorvaldc.model import Mesh
+
+MAX_PARAMETER_BYTES = 1_000_000
+_EXPAND = "expand it first: `xacro FILE name:=value > robot.urdf`, beside its ROS packages"
+
+
+@dataclass
+class ForeignRobot:
+    """A robot of others, as its description and its controllers state it.
+
+    - ``elements``: child elements of ``<robot>``.
+    - ``mesh_files``: path of each mesh file by the name of the mesh.
+    - ``sources``: path of each file that was read, by its name in spans.
+    - ``velocity_joints``, ``position_joints``: joints that something drives or steers.
+    - ``limits``: speeds and accelerations of the controllers, such as ``linear.x.max_velocity``.
+    """
+
+    description: FileDescription
+    elements: Sequence[Element] = ()
+    meshes: dict[str, Mesh] = field(default_factory=dict)
+    mesh_files: dict[str, Path] = field(default_factory=dict)
+    sources: dict[str, Path] = field(default_factory=dict)
+    velocity_joints: dict[str, Span] = field(default_factory=dict)
+    position_joints: dict[str, Span] = field(default_factory=dict)
+    limits: dict[str, float] = field(default_factory=dict)
+    controller_types: dict[str, Span] = field(default_factory=dict)
+
+
+def read_robot(path: Path, controllers: Path | None, report: Report) -> ForeignRobot:
+    """Returns the robot in a URDF or xacro file; what cannot be read is reported."""
+    name = path.name.split(".")[0]
+    robot = ForeignRobot(
+        FileDescription(format="URDF", name=name, file=str(path), path=path.absolute()),
+        sources={str(path): path},
+    )
+    if not path.is_file():
+        report.add("file-not-found", f"`{path}` does not exist", Span(str(path)))
+        return robot
+    request = xacro_expand.ExpansionRequest(path.absolute(), {}, {}, source_layout=True)
+    folder = "" if str(path.parent) == "." else str(path.parent)
+    shown = xacro_expand.DisplayPaths(path.absolute().parent, folder, {})
+    expanded = xacro_expand.expand([request], shown)[0]
+    robot.sources |= expanded.files
+    if expanded.failure is not None:
+        failure = expanded.failure
+        code, message, _ = FAILURES[failure.kind]
+        labels = [Label(span, text) for span, text in failure.trail]
+        span = failure.span or Span(str(path))
+        report.add(code, message.format(text=failure.text), span, hint=_EXPAND, labels=labels)
+        return robot
+    search = xacro_expand.search_paths()
+    readable = xacro_expand.readable_folders([request], path.absolute().parent, search)
+    loader = MeshLoader(expanded.packages, expanded.paths, readable, report)
+    parts = read_urdf(expanded.elements, "", loader, report)
+    robot.elements, robot.mesh_files = expanded.elements, loader.files
+    robot.meshes = {mesh.name: mesh for mesh in parts.meshes}
+    _add_parts(robot.description, parts, report)
+    for element in expanded.elements:
+        _read_drive(robot, element)
+    if controllers is not None and robot.description.links:
+        _read_controllers(robot, controllers, report)
+    return robot
+
+
+def _add_parts(description: FileDescription, parts: UrdfParts, report: Report) -> None:
+    """Adds the links and joints, which must form one tree."""
+    for kind, new in (("link", parts.links), ("joint", parts.joints)):
+        names: dict[str, Span] = {}
+        for part in new:
+            if part.name in names:
+                text = f"{kind} `{part.name}` is defined twice"
+                labels = [Label(names[part.name], "first here")]
+                report.add("audit-description-broken", text, part.span, labels=labels)
+            names.setdefault(part.name, part.span)
+    description.links |= {link.name: link for link in parts.links}
+    description.joints |= {joint.name: joint for joint in parts.joints}
+    description.places |= parts.places
+    parents: dict[str, str] = {}
+    for joint in parts.joints:
+        for role, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in description.links:
+                text = f"the {role} of joint `{joint.name}` is link `{link}`, which does not exist"
+                hint = did_you_mean(link, list(description.links), fixable=False)
+                report.add("audit-description-broken", text, joint.span, hint=hint)
+        if joint.child in parents:
+            text = f"link `{joint.child}` is the child of two joints"
+            report.add("audit-description-broken", text, joint.span)
+        parents[joint.child] = joint.parent
+    roots = [link for link in description.links if link not in parents]
+    if len(roots) != 1 and description.links:
+        shown = ", ".join(f"`{name}`" for name in roots[:4]) or "none"
+        text = f"a robot has one root link, this one has {len(roots)}: {shown}"
+        span = description.links[roots[1]].span if len(roots) > 1 else Span(description.file)
+        report.add("audit-description-broken", text, span)
+
+
+# -- who drives which joint ---------------------------------------------------------------
+
+
+def _read_drive(robot: ForeignRobot, element: Element) -> None:
+    """Notes which joints a child element of ``<robot>`` drives or steers."""
+    description = robot.description
+    if element.tag == "ros2_control":
+        description.facts += ros2_control_facts(element)
+        for joint in element.children:
+            for interface in joint.children:
+                if interface.tag == "command_interface":
+                    _note(robot, joint, interface.attributes.get("name", ""))
+    elif element.tag == "gazebo":
+        facts = plugin_facts(element)
+        description.facts += facts
+        for fact in facts:
+            if fact.kind == "joint":
+                steers = "steer" in str(fact.value)
+                joints = robot.position_joints if steers else robot.velocity_joints
+                joints.setdefault(str(fact.value), fact.span)
+        for plugin in walk(element):
+            if plugin.tag == "plugin":
+                name = f"{plugin.attributes.get('name', '')} {plugin.attributes.get('filename')}"
+                robot.controller_types.setdefault(name, plugin.span)
+    elif element.tag == "transmission":
+        interfaces = [e.text for e in walk(element) if e.tag == "hardwareInterface"]
+        for joint in element.children:
+            if joint.tag == "joint":
+                _note(robot, joint, "".join(interfaces[:1]))
+
+
+def _note(robot: ForeignRobot, joint: Element, interface: str) -> None:
+    steers = "position" in interface.lower()
+    joints = robot.position_joints if steers else robot.velocity_joints
+    joints.setdefault(joint.attributes.get("name", ""), joint.span)
+
+
+# Parameters of controllers of ROS 1, beside those of ``ros2_controllers``.
+_WHEELS = (*LEFT, *RIGHT, *TRACTION, "front_wheel", "rear_wheel")
+_STEERED = (*STEERING, "rear_steering")
+
+
+def _read_controllers(robot: ForeignRobot, path: Path, report: Report) -> None:
+    """Adds the statements of a parameter file of controllers."""
+    display = str(path)
+    robot.sources[display] = path
+    try:
+        document = read_yaml(read_bounded(path, MAX_PARAMETER_BYTES), display, report)
+    except OSError as error:
+        text = f"`{display}` cannot be read: {error.strerror or error}"
+        report.add("file-unreadable", text, Span(display))
+        return
+    except UnreadableFileError as error:
+        report.add("import-value", f"`{display}`: {error}", error.span or Span(display))
+        return
+    known = robot.description.joints
+    all_sections = sections(document, display, path) if document is not None else []
+    if document is not None and not all_sections:
+        all_sections = list(_ros1_sections(document, display, path))
+    is_used = False
+    for section in all_sections:
+        wheels, steered = (plain_names(section, n, known) for n in (_WHEELS, _STEERED))
+        kind = section.text("type")
+        if kind is not None:
+            robot.controller_types.setdefault(kind, section.values["type"].span)
+        if not wheels and not steered:
+            continue
+        is_used = True
+        facts = controller_facts(section, known)
+        robot.description.facts += facts
+        for names, joints in ((wheels, robot.velocity_joints), (steered, robot.position_joints)):
+            for name in names:
+                joints.setdefault(name, section.span)
+        for key in section.values:
+            value = section.number(key)
+            if value is not None and value > 0.0 and "max_" in key:
+                robot.limits.setdefault(key, value)
+        for fact in facts:
+            if fact.kind == "joint" and fact.value not in known:
+                _report_unknown(fact, list(known), report)
+    if not is_used:
+        report.add(
+            "import-left-out",
+            f"`{display}` names no wheels: it is not used",
+            Span(display),
+            hint="give the parameters of the controllers: `left_wheel_names` and others",
+        )
+
+
+def _ros1_sections(node: Node, display: str, path: Path) -> Iterator[ParameterSection]:
+    """Yields each mapping of a parameter file of ROS 1 that states a controller."""
+    for name, child in node.value.items() if isinstance(node.value, dict) else ():
+        if isinstance(child.value, dict) and "type" in child.value:
+            yield ParameterSection(name, display, path, child.where, flattened(child))
+        yield from _ros1_sections(child, display, path)
+
+
+def _report_unknown(fact: Fact, known: Sequence[str], report: Report) -> None:
+    report.add(
+        "audit-joint-unknown",
+        f"{fact.subject} names joint `{fact.value}`, which the robot does not have",
+        fact.span,
+        hint=did_you_mean(str(fact.value), known, fixable=False),
+    )
