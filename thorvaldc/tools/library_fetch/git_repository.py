@@ -129,7 +129,8 @@ class _Git:
         environment = {k: v for k, v in os.environ.items() if k not in _VARIABLES}
         environment |= {"GIT_TERMINAL_PROMPT": "0", "GIT_ASKPASS": "", "LC_ALL": "C"}
         environment |= {"GIT_ALLOW_PROTOCOL": "file:https:ssh", "GIT_DIR": str(self._folder)}
-        environment.setdefault("GIT_SSH_COMMAND", "ssh -o BatchMode=yes")
+        # Without a terminal, which a new session lacks, ssh would ask in a window.
+        environment["SSH_ASKPASS_REQUIRE"] = "never"
         stdin, stdout, stderr = streams
         try:
             process = subprocess.Popen(
