@@ -227,8 +227,8 @@ class _Conversion:
         open_links: list[tuple[str, Joint | None]] = [(root, None)]
         while open_links:
             link, above = open_links.pop(0)
-            wanted = _MAIN.get(kind, as_id(link)) if link == root else as_id(link)
-            part.links[link] = locals_.make(wanted, "link")
+            own_name = _MAIN.get(kind, as_id(link)) if link == root else as_id(link)
+            part.links[link] = locals_.make(own_name, "link")
             if above is not None:
                 pose = placed(above.pose)
                 parent_link = part.links[above.parent]
@@ -266,8 +266,8 @@ class _Conversion:
         text = part.module.text(part.joint is None)
         key = text, tuple(part.module.meshes.items())
         if key not in self.written:
-            wanted = part.name if part.kind in ("sensor", "part") else part.kind
-            self.written[key] = f"{self.name}/{self.types.make(wanted, 'part')}"
+            type_name = part.name if part.kind in ("sensor", "part") else part.kind
+            self.written[key] = f"{self.name}/{self.types.make(type_name, 'part')}"
             folder = f"{LIBRARY}/{self.written[key]}"
             self.result.files[f"{folder}/module.yaml"] = text.encode()
             for name, path in part.module.meshes.items():
