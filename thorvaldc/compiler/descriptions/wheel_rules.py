@@ -139,14 +139,16 @@ def wheel_center(description: FileDescription, joint: Joint) -> Vec3 | None:
     return None if any(part.visuals or part.collisions for part in parts) else link.xyz
 
 
-class Tyre(NamedTuple):
+class RoundShape(NamedTuple):
+    """A cylinder or sphere with its pose in the frame of the joint that turns it."""
+
     shape: Cylinder | Sphere
     pose: Pose
     collides: bool
     span: Span
 
 
-def tyre_of(description: FileDescription, joint: Joint) -> Tyre | None:
+def tyre_of(description: FileDescription, joint: Joint) -> RoundShape | None:
     """Returns the largest round shape that a joint turns, of the collision shapes if there are any.
 
     A wheel is a sphere, or a cylinder whose axis is that of the joint, with its centre on the axis.
@@ -155,11 +157,11 @@ def tyre_of(description: FileDescription, joint: Joint) -> Tyre | None:
     return max(wheels, key=lambda wheel: (wheel.collides, wheel.shape.radius), default=None)
 
 
-def _round_shapes(description: FileDescription, joint: Joint) -> list[Tyre]:
+def _round_shapes(description: FileDescription, joint: Joint) -> list[RoundShape]:
     """Returns the wheel shapes of a joint, with poses in the frame of the joint."""
     if joint.type not in ("revolute", "continuous"):
         return []
-    wheels: list[Tyre] = []
+    wheels: list[RoundShape] = []
     for link, pose in description.rigid_part(joint.child).items():
         for shape, own, collides, span in description.shapes(description.links[link]):
             if not isinstance(shape, Cylinder | Sphere):
@@ -169,5 +171,5 @@ def _round_shapes(description: FileDescription, joint: Joint) -> list[Tyre]:
             offset = norm(cross(placed.xyz, joint.axis))
             is_wheel = isinstance(shape, Sphere) or along > 0.99
             if is_wheel and offset < 0.1 * shape.radius:
-                wheels.append(Tyre(shape, placed, collides, span))
+                wheels.append(RoundShape(shape, placed, collides, span))
     return wheels

@@ -189,9 +189,9 @@ def _read_controllers(robot: ForeignRobot, path: Path, report: Report) -> None:
     is_used = False
     for section in all_sections:
         wheels, steered = (plain_names(section, n, known) for n in (_WHEELS, _STEERED))
-        kind = section.text("type")
-        if kind is not None:
-            robot.controller_types.setdefault(kind, section.values["type"].span)
+        for key, node in section.values.items():
+            if key.rpartition(".")[2] == "type" and isinstance(node.value, str):
+                robot.controller_types.setdefault(node.value, node.span)
         if not wheels and not steered:
             continue
         is_used = True

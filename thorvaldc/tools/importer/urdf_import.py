@@ -227,8 +227,8 @@ class _Conversion:
         open_links: list[tuple[str, Joint | None]] = [(root, None)]
         while open_links:
             link, above = open_links.pop(0)
-            wanted = _MAIN.get(kind, as_id(link)) if link == root else as_id(link)
-            part.links[link] = locals_.make(wanted, "link")
+            own_name = _MAIN.get(kind, as_id(link)) if link == root else as_id(link)
+            part.links[link] = locals_.make(own_name, "link")
             if above is not None:
                 pose = placed(above.pose)
                 parent_link = part.links[above.parent]
@@ -266,8 +266,8 @@ class _Conversion:
         text = part.module.text(part.joint is None)
         key = text, tuple(part.module.meshes.items())
         if key not in self.written:
-            wanted = part.name if part.kind in ("sensor", "part") else part.kind
-            self.written[key] = f"{self.name}/{self.types.make(wanted, 'part')}"
+            type_name = part.name if part.kind in ("sensor", "part") else part.kind
+            self.written[key] = f"{self.name}/{self.types.make(type_name, 'part')}"
             folder = f"{LIBRARY}/{self.written[key]}"
             self.result.files[f"{folder}/module.yaml"] = text.encode()
             for name, path in part.module.meshes.items():
@@ -348,7 +348,7 @@ class _Conversion:
         limits = self.robot.limits
         speed = joint.velocity or 0.0
         if not 0.0 < speed * tyre.radius <= _FASTEST:
-            turning = limits.get("angular.z.max_velocity", 0.0) * self.reach(joint)
+            turning = limits.get("angular.z.max_velocity", 0.0) * self.reach()
             fastest = limits.get("linear.x.max_velocity", _ASSUMED_SPEED) + turning
             speed = fastest / tyre.radius
             comments.append(f"speed {plain(fastest, 3)} m/s")
@@ -405,14 +405,12 @@ class _Conversion:
         part.module.sections += ["motors:", f"  # assumed: {', '.join(comments)}"]
         part.module.sections.append(f"  {role}: {flow(entry)}")
 
-    def reach(self, joint: Joint) -> float:
-        """Returns the distance of a wheel from the middle between all driven wheels in m."""
-        poses = self.description.poses
-        joints = [self.description.joints[name] for name in self.roles.driven]
-        points = [poses[j.child].xyz for j in joints]
+    def reach(self) -> float:
+        """Returns the largest distance of a driven wheel from the middle between all in m."""
+        poses, joints = self.description.poses, self.description.joints
+        points = [poses[joints[name].child].xyz for name in self.roles.driven]
         x, y = (float_sum(p[k] for p in points) / len(points) for k in (0, 1))
-        own = poses[joint.child].xyz
-        return math.hypot(own[0] - x, own[1] - y)
+        return max(math.hypot(p[0] - x, p[1] - y) for p in points)
 
     def add_ball(self, part: _Part, ball: Tyre, main: str) -> None:
         """Adds a ball as an upright joint and an axle in one point, which share its mass."""

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from thorvaldc.compiler.descriptions.wheel_rules import tyre_of
+from thorvaldc.compiler.descriptions.wheel_rules import RoundShape, tyre_of
 from thorvaldc.compiler.robot_checks import WHEEL_OFF_GROUND
 from thorvaldc.compiler.shapes.mesh_formats import mesh_triangles
 from thorvaldc.diagnostics import Report, Span, millimetres, plain
@@ -21,8 +21,12 @@ from thorvaldc.model import Box, Cylinder, Joint, MeshShape, Pose, Shape, Sphere
 from thorvaldc.model.spatial import add, dot, norm, scale, sub
 from thorvaldc.tools.importer.foreign_robot import ForeignRobot
 
+UP: Vec3 = (0.0, 0.0, 1.0)
+_PARALLEL = 0.99  # cosine of 8 deg
 _HORIZONTAL, _UPRIGHT = 0.3, 0.7  # share of the z axis in the direction of a joint axis
+_BESIDE = 1e-4  # m, of the middle of a wheel beside its axis, which is rounding
 _NEAR_GROUND = 0.005  # m, beside a tenth of the radius
+_CLEARANCE = 0.05  # m, of the lowest part below the wheels, if nothing states which are wheels
 _KINDS = {
     "mecanum wheels": re.compile(r"(?i)mecanum"),
     "tracks": re.compile(r"(?i)(^|[^a-z])tracks?([^a-z]|$)|crawler|caterpillar|bunker"),
@@ -65,13 +69,16 @@ def recognise(robot: ForeignRobot, report: Report) -> Roles | None:
         return None
     description = robot.description
     above = {joint.child: joint for joint in description.joints.values()}
-    tyres = dict(_turning_parts(robot))
+    tyres = dict(_turning_parts(robot, report))
     stated = [name for name in tyres if name in robot.velocity_joints]
     lowest = {name: _lowest(robot, description.joints[name].child, t) for name, t in tyres.items()}
     if not lowest:
         _report_none(robot, report)
         return None
     ground = min(lowest[name] for name in stated or lowest)
+    if not stated and ground > _lowest_point(robot) + _CLEARANCE:
+        _report_none(robot, report)  # such as a base without wheels, with a turning part above
+        return None
     roles = Roles()
     for name, tyre in tyres.items():
         if abs(lowest[name] - ground) < _NEAR_GROUND + 0.1 * tyre.radius:
@@ -92,6 +99,7 @@ def recognise(robot: ForeignRobot, report: Report) -> Roles | None:
         _report_none(robot, report)
         return None
     known = {*roles.wheels, *roles.steering, *roles.swivels}
+    _report_dragged(robot, roles, ground, report)
     roles.rigid = [
         joint
         for joint in description.joints.values()
@@ -133,7 +141,7 @@ def _report_none(robot: ForeignRobot, report: Report) -> None:
 # -- round parts --------------------------------------------------------------------------
 
 
-def _turning_parts(robot: ForeignRobot) -> Iterator[tuple[str, Tyre]]:
+def _turning_parts(robot: ForeignRobot, report: Report) -> Iterator[tuple[str, Tyre]]:
     """Yields the joints with a horizontal axis that turn a round part without end."""
     description = robot.description
     for joint in description.joints.values():
@@ -149,19 +157,39 @@ def _turning_parts(robot: ForeignRobot) -> Iterator[tuple[str, Tyre]]:
         has_mass = any(body is not None and body.mass > 0.0 for body in bodies)
         if abs(axis[2]) > _HORIZONTAL or not has_mass:
             continue  # a wheel without mass stands for others, as that of a bicycle model
-        tyre = _primitive(robot, joint) or _mesh_tyre(robot, joint)
+        tyre = _primitive(robot, joint, report) or _mesh_tyre(robot, joint)
         if tyre is not None:
             yield joint.name, tyre
 
 
-def _primitive(robot: ForeignRobot, joint: Joint) -> Tyre | None:
+def _primitive(robot: ForeignRobot, joint: Joint, report: Report) -> Tyre | None:
     tyre = tyre_of(robot.description, joint)
+    if joint.name in robot.velocity_joints and (tyre is None or not tyre.collides):
+        tyre = _stated_tyre(robot, joint) or tyre
     if tyre is None:
         return None
     shape = tyre.shape
     width = shape.length if isinstance(shape, Cylinder) else 2.0 * shape.radius
     is_round = isinstance(shape, Sphere)
-    return Tyre(shape.radius, width, tyre.pose.xyz, tyre.span, is_round)
+    center = scale(dot(tyre.pose.xyz, joint.axis), joint.axis)
+    beside = norm(sub(tyre.pose.xyz, center))
+    if beside > _BESIDE:
+        text = f"the shape of the wheel at `{joint.name}` is {millimetres(beside)} beside its axis"
+        report.add("import-assumed", f"{text}: it is moved to the axis", tyre.span)
+    return Tyre(shape.radius, width, center, tyre.span, is_round)
+
+
+def _stated_tyre(robot: ForeignRobot, joint: Joint) -> RoundShape | None:
+    """Returns the largest cylinder about any axis parallel to that of a driven joint."""
+    description = robot.description
+    cylinders = [
+        RoundShape(placed.shape, pose * placed.pose, placed.collides, placed.span)
+        for name, pose in description.rigid_part(joint.child).items()
+        for placed in description.shapes(description.links[name])
+        if isinstance(placed.shape, Cylinder)
+    ]
+    parallel = [c for c in cylinders if abs(dot(c.pose.rotate(UP), joint.axis)) > _PARALLEL]
+    return max(parallel, key=lambda c: (c.collides, c.shape.radius), default=None)
 
 
 def _mesh_tyre(robot: ForeignRobot, joint: Joint) -> Tyre | None:
@@ -216,6 +244,17 @@ def _points(robot: ForeignRobot, shape: Shape) -> Iterator[Vec3]:
 def _lowest(robot: ForeignRobot, link: str, tyre: Tyre) -> float:
     """Returns the height of the lowest point of an upright wheel in the frame of the root."""
     return robot.description.poses[link].apply(tyre.center)[2] - tyre.radius
+
+
+def _lowest_point(robot: ForeignRobot) -> float:
+    """Returns the height of the lowest shape in the frame of the root; meshes by their points."""
+    description = robot.description
+    return min(
+        (description.poses[link.name] * placed.pose).apply(point)[2]
+        for link in description.links.values()
+        for placed in description.shapes(link)
+        for point in _points(robot, placed.shape)
+    )
 
 
 # -- joints above a wheel, and balls -------------------------------------------------------
@@ -314,6 +353,22 @@ def _stand(robot: ForeignRobot, roles: Roles, ground: float, report: Report) -> 
         else:
             hint = "correct its radius, or the height of its joint"
             report.add("wheel-off-ground", place, tyre.span, hint=hint)
+
+
+def _report_dragged(robot: ForeignRobot, roles: Roles, ground: float, report: Report) -> None:
+    """Reports links that stand on the ground and do not roll."""
+    description = robot.description
+    rolling = {*roles.balls}
+    for name in roles.wheels:
+        rolling |= {*description.rigid_part(_child(robot, name))}
+    for name, link in description.links.items():
+        for placed in description.shapes(link) if name not in rolling else ():
+            pose = description.poses[name] * placed.pose
+            heights = [pose.apply(point)[2] for point in _points(robot, placed.shape)]
+            if placed.collides and heights and min(heights) < ground + WHEEL_OFF_GROUND:
+                text = f"link `{name}` reaches the ground and does not roll: the robot drags it"
+                report.add("import-assumed", text, placed.span)
+                break
 
 
 def _child(robot: ForeignRobot, joint: str) -> str:
