@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import show_report
+from thorvaldc.cli.diagnostic_output import count, show_report
 from thorvaldc.cli.exits import DONE
 from thorvaldc.cli.library_commands import check_new_module
 from thorvaldc.diagnostics import Report
@@ -67,7 +67,7 @@ def _finish(device: DeviceModule | None, file: str, library: str, report: Report
     for comment in device.comments:
         print(comment)
     print(
-        f"{folder / device.type / FILE}: {len(device.frames)} frames. Next:\n"
+        f"{folder / device.type / FILE}: {count(len(device.frames), 'frame')}. Next:\n"
         f"  thorvaldc modules check {folder}\n"
         f"and in a robot file beside the folder:\n"
         f"  library: [{folder.resolve().name}]\n"
