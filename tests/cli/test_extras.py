@@ -43,6 +43,7 @@ HINTS = [
     ),
     ("plotly", ("study", "show", "study.yaml", "--html", "o.html"), "study"),
     ("mujoco_usd_converter", ("usd", "good.yaml", "-o", "o.usda"), "usd"),
+    ("cantools", ("modules", "from-dbc", "io/mine", "mine.dbc", "--node", "A"), "dbc"),
     ("aiohttp", ("preview", "good.yaml", "--no-browser"), "preview"),
 ]
 # Modules that were imported before keep the packages that they use.  Those of an interface of

@@ -66,9 +66,12 @@ WRONG_VALUES = {
 # error of usage, and of names of new files.
 OTHER_VALUES = {
     *("FILE", "DIR", "OUT", "OUT.html", "OUT.xml", "RECORD", "SET", "TEXT", "HASH", "NAME"),
-    *("BUS", "[NAME=]BUS", "SOURCE", "DEVICE", "ENTRIES", "OBJECTIVE", "QUERY"),
+    *("BUS", "[NAME=]BUS", "SOURCE", "DEVICE", "ENTRIES", "OBJECTIVE", "QUERY", "NODE"),
 }
-MISSING_FOLDER_IS_NEW = {("build", "--output"), ("demo", "--output"), ("modules new", "--library")}
+MISSING_FOLDER_IS_NEW = {
+    *(("build", "--output"), ("demo", "--output"), ("modules new", "--library")),
+    *(("modules from-dbc", "--library"), ("modules from-eds", "--library")),
+}
 
 
 def _wrong_usages() -> list[tuple[str, ...]]:

@@ -113,6 +113,17 @@ def test_video_alone(computer: Computer) -> None:
         assert result == (0, DROVE, f"{file}\n")
 
 
+DBC = 'BO_ 1 State: 1 A\n SG_ on : 0|1@1+ (1,0) [0|0] "" B\n'
+
+
+@slow
+def test_dbc_alone(computer: Computer) -> None:
+    (computer.folder / "mine.dbc").write_text(DBC, encoding="utf-8")
+    result = computer.thorvaldc("modules", "from-dbc", "io/mine", "mine.dbc", "--node", "A")
+    assert (result.status, result.err) == (0, "")
+    assert "1 frame." in result.out
+
+
 EVDEV = """\
 class ecodes:
     ecodes = {}

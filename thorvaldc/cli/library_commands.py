@@ -363,10 +363,8 @@ def new_module(
     from thorvaldc.compiler import scaffolding
     from thorvaldc.compiler.modules.library import FILE
 
-    check_new_type(type)
+    check_new_module(type, library)
     folder = Path(library)
-    if folder.exists() and not folder.is_dir():
-        raise typer.BadParameter(f"{library!r} is not a folder", param_hint="'--library'")
     report = Report()
     content = scaffolding.module_mesh(Path(mesh) if mesh else None, report)
     if content is None:
@@ -388,8 +386,8 @@ def new_module(
     return DONE
 
 
-def check_new_type(type: str) -> None:
-    """Raises ``typer.BadParameter`` if a new module type cannot have a name."""
+def check_new_module(type: str, library: str) -> None:
+    """Raises ``typer.BadParameter`` if a new module cannot have a name or be in a folder."""
     from thorvaldc.compiler import scaffolding
     from thorvaldc.compiler.modules.library import Library
 
@@ -400,3 +398,5 @@ def check_new_type(type: str) -> None:
         )
     if Library().exists(type):
         raise typer.BadParameter(f"the library has a module {type!r} already", param_hint="TYPE")
+    if Path(library).exists() and not Path(library).is_dir():
+        raise typer.BadParameter(f"{library!r} is not a folder", param_hint="'--library'")

@@ -17,7 +17,6 @@ from tests.devices import MOTORS, Bench, line
 from thorvaldc.backends.can.dbc import dbc_text
 from thorvaldc.compiler.bus.device_sections import BusSpec
 from thorvaldc.model import Bus
-from thorvaldc.tools.device_files import dbc_module
 from thorvaldc.tools.device_files.device_module import MAX_BYTES
 
 BATTERY = Path(__file__).with_name("battery.dbc").read_text(encoding="utf-8")
@@ -259,14 +258,3 @@ def test_broken_files(thorvaldc: Command, content: str, message: str) -> None:
     assert made.status == 1, made.err
     assert message in made.err
     assert not Path("modules").exists()
-
-
-def test_without_cantools_the_extra_is_named(
-    thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(dbc_module, "find_spec", lambda name: None)
-    Path("mine.dbc").write_text(BATTERY, encoding="utf-8")
-    made = thorvaldc("modules", "from-dbc", "battery/mine", "mine.dbc", "--node", "BMS")
-    assert made.status == 3
-    assert "require cantools" in made.err
-    assert "[dbc]" in made.err

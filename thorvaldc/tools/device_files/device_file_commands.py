@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import show_report
+from thorvaldc.cli.diagnostic_output import count, show_report
 from thorvaldc.cli.exits import DONE
-from thorvaldc.cli.library_commands import check_new_type
+from thorvaldc.cli.library_commands import check_new_module
 from thorvaldc.diagnostics import Report
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def from_dbc(
 ) -> int:
     from thorvaldc.tools.device_files.dbc_module import module_from_dbc
 
-    check_new_type(type)
+    check_new_module(type, library)
     report = Report()
     device = module_from_dbc(Path(file), node, type, report)
     return _finish(device, file, library, report)
@@ -44,7 +44,7 @@ def from_eds(
 ) -> int:
     from thorvaldc.tools.device_files.eds_module import module_from_eds
 
-    check_new_type(type)
+    check_new_module(type, library)
     report = Report()
     device = module_from_eds(Path(file), type, report)
     return _finish(device, file, library, report)
@@ -67,7 +67,7 @@ def _finish(device: DeviceModule | None, file: str, library: str, report: Report
     for comment in device.comments:
         print(comment)
     print(
-        f"{folder / device.type / FILE}: {len(device.frames)} frames. Next:\n"
+        f"{folder / device.type / FILE}: {count(len(device.frames), 'frame')}. Next:\n"
         f"  thorvaldc modules check {folder}\n"
         f"and in a robot file beside the folder:\n"
         f"  library: [{folder.resolve().name}]\n"

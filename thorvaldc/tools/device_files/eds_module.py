@@ -117,6 +117,9 @@ def module_from_eds(path: Path, type_name: str, report: Report) -> DeviceModule 
     profile = f"profile CiA {dictionary.profile}" if dictionary.profile else "no device profile"
     device.comments.append(f"Made from {path.name} ({profile}). Comments name the objects.")
     device.params |= _params(dictionary, path.name)
+    if is_drive and not _has_consumer(dictionary):
+        text = "The drive cannot supervise the master: the file has no writable 0x1016:1 (TV534)."
+        device.comments.append(text)
     if not (is_drive and _add_drive(device, dictionary)):
         device.frames = [*_frames(dictionary, report)]
         without_refused(device, report)
