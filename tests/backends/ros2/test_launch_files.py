@@ -137,6 +137,21 @@ def test_bases(file: str, base: str, simulated_time: bool, tmp_path: Path) -> No
     assert driver["real_time_factor"] == 1.0
 
 
+@pytest.mark.parametrize("required", ["true", "false"])
+def test_a_launch_ends_with_its_base_driver_and_its_guard(required: str, tmp_path: Path) -> None:
+    """Its exit status lets a supervisor start it again after a failure."""
+    robot = example_robot("4wd4ws_wide")
+    count = 0
+    others = {"teleop", "gnss", "slam", "navigation"}
+    for file in set(launch_names(robot)) - others:
+        for node in launch(robot, tmp_path, file, required=required).started:
+            ends = required == "true" and node.executable in ("base_driver", "joint_guard")
+            count += ends
+            assert node.status_of_launch(0) == (0 if ends else None)
+            assert node.status_of_launch(-9) == (1 if ends else None)
+    assert count == (11 if required == "true" else 0)
+
+
 def test_arguments_reach_the_base_driver(tmp_path: Path) -> None:
     robot = example_robot("4wd4ws_wide")
     nodes = started(robot, tmp_path, "robot", bus="pcan:PCAN_USBBUS1", enable_odom_tf="false")
@@ -271,6 +286,7 @@ def test_fleet(tmp_path: Path) -> None:
         assert float(options["--y"]) == placement.pose.xyz[1]
         assert float(options["--qw"]) == placement.pose.quat[0]
         assert options["--child-frame-id"] == f"{placement.name}/odom"
+    assert all(node.status_of_launch(-9) is None for node in nodes.values())
     without = run(
         shares["fleet_of_four_fleet"] / "launch" / "fleet.launch.py",
         shares,
@@ -360,6 +376,7 @@ def test_a_fleet_in_one_gazebo(tmp_path: Path) -> None:
             parameters = nodes[f"/{placement.name}/{name}"].parameters
             assert parameters["joint_topics"] == "gazebo"
             assert parameters["use_sim_time"] is True
+    assert all(node.status_of_launch(-9) is None for node in nodes.values())
 
 
 def test_rviz_shows_the_frames_and_topics_of_the_robot() -> None:
