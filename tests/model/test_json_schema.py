@@ -29,6 +29,7 @@ FINGERPRINTS = {
     10: "eeb8ff37e77e8014",
     11: "12f0de925b7a4a74",
     12: "aba667ae81428e75",
+    13: "8fe2a0ea3f445481",
 }
 
 SCHEMA = model_schema()
