@@ -152,6 +152,7 @@ def _parameter_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
         }
     if parts.slam is not None:
         files["slam_toolbox"] = {"slam_toolbox": ros2_parameters.slam_toolbox(robot, parts.slam)}
+        files["amcl"] = ros2_navigation.amcl(robot, parts.slam)
     if parts.navigation:
         files["nav2"] = ros2_navigation.nav2(robot, parts)
         for source in parts.map_sources or ("none",):
@@ -162,6 +163,7 @@ def _parameter_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
             }
     space = ros2_parts.node_space(robot)
     comments = {"base_driver": ros2_parameters.FILTER_NOISE} if parts.localization else {}
+    comments["gnss"] = ros2_parameters.HEADING
     return {
         f"config/{file}.yaml": parameter_file(
             {space + node: values for node, values in nodes.items()}, comments.get(file, "")

@@ -39,6 +39,7 @@ LAUNCHES = {
     "joint_states": "the robot in Isaac Sim, by messages JointState",
     "gnss": "GNSS, odometry and IMU give the pose in `map`",
     "slam": "slam_toolbox makes a map",
+    "amcl": "AMCL gives the pose in a saved map; `map:=field.yaml`",
     "navigation": "Nav2 with its localization, beside a launch file that starts the robot",
     "base": "part of others: description and base driver",
 }
@@ -200,6 +201,8 @@ def rviz_text(robot: Robot, parts: ros2_parts.Parts) -> str:
         displays=displays,
         fixed_frame=ros2_parts.odom_frame(robot),
         goal_topic=topic("goal_pose"),
+        initial_topic=topic("initialpose"),
+        has_map=parts.slam is not None,
     )
 
 
@@ -237,7 +240,7 @@ def launch_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
     if parts.gnss is not None:
         names.append("gnss")
     if parts.slam is not None:
-        names.append("slam")
+        names += ["slam", "amcl"]
     if parts.navigation:
         names.append("navigation")
     if robot.actuators:

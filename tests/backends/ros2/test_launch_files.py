@@ -30,6 +30,8 @@ from thorvaldc.ros.parameters import PARAMETERS
 
 # Executables of each ROS package in Jazzy and Kilted.
 EXECUTABLES = {
+    "nav2_amcl": {"amcl"},
+    "nav2_map_server": {"map_server"},
     "nav2_behaviors": {"behavior_server"},
     "nav2_bt_navigator": {"bt_navigator"},
     "nav2_collision_monitor": {"collision_monitor"},
@@ -142,7 +144,7 @@ def test_a_launch_ends_with_its_base_driver_and_its_guard(required: str, tmp_pat
     """Its exit status lets a supervisor start it again after a failure."""
     robot = example_robot("4wd4ws_wide")
     count = 0
-    others = {"teleop", "gnss", "slam", "navigation"}
+    others = {"teleop", "gnss", "slam", "amcl", "navigation"}
     for file in set(launch_names(robot)) - others:
         for node in launch(robot, tmp_path, file, required=required).started:
             ends = required == "true" and node.executable in ("base_driver", "joint_guard")
@@ -387,6 +389,7 @@ def test_rviz_shows_the_frames_and_topics_of_the_robot() -> None:
     assert manager["Global Options"]["Fixed Frame"] == "r1/odom"
     topics = re.findall(r'Value: "(\S+)"', text)
     assert {"/r1/robot_description", "/r1/odometry/base_raw", "/r1/lidar_front/scan"} <= set(topics)
+    assert {"/r1/goal_pose", "/r1/initialpose"} <= set(topics)
     assert all(topic.startswith("/r1/") for topic in topics)
 
 
