@@ -16,7 +16,7 @@ def folder(name):
 
 setup(
     name=package_name,
-    version="0.0.0",
+    version="{{ settings.version }}",
     packages=[{{ "package_name" if has_driver else "" }}],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
@@ -27,10 +27,10 @@ setup(
     ],
     install_requires=["setuptools"],
     zip_safe=True,
-    maintainer="unknown",
-    maintainer_email="unknown@example.org",
-    description="{{ description }}",
-    license="unspecified",
+    maintainer={{ maintainer[0] | quoted }},
+    maintainer_email={{ maintainer[1] | quoted }},
+    description={{ title | quoted }},
+    license={{ (settings.license or "unspecified") | quoted }},
     extras_require={"test": ["pytest"]},
     # % if has_driver
     entry_points={

@@ -67,11 +67,9 @@ def fleet_package(fleet: Fleet) -> dict[str, bytes]:
         "launch/fleet.launch.py": launch.encode(),
         **world_files(fleet.name, robots, fleet.world, poses),
     }
-    description = f"The fleet {fleet.name}, made by thorvaldc"
-    return {
-        **ros2_package_files.package_files(package, description, files, [launch], members),
-        **files,
-    }
+    title = f"The fleet {fleet.name}, made by thorvaldc"
+    settings = robots[0].ros
+    return ros2_package_files.package_files(package, title, settings, files, [launch], members)
 
 
 def package_of(robot: Robot) -> dict[str, bytes]:
@@ -111,13 +109,11 @@ def package_of(robot: Robot) -> dict[str, bytes]:
         **{f"meshes/{mesh.name}": mesh.data for mesh in robot.meshes},
         **{path: text.encode() for path, text in launches.items()},
     }
-    description = f"The robot {robot.name}, made by thorvaldc"
-    return {
-        **ros2_package_files.package_files(
-            robot.ros.package, description, files, launches.values(), plugins
-        ),
-        **files,
-    }
+    title = f"The robot {robot.name}, made by thorvaldc"
+    texts = launches.values()
+    return ros2_package_files.package_files(
+        robot.ros.package, title, robot.ros, files, texts, plugins, robot.description
+    )
 
 
 def in_any_name_space(robot: Robot, files: Mapping[str, str]) -> dict[str, bytes]:
@@ -156,6 +152,7 @@ def _parameter_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
         }
     if parts.slam is not None:
         files["slam_toolbox"] = {"slam_toolbox": ros2_parameters.slam_toolbox(robot, parts.slam)}
+        files["amcl"] = ros2_navigation.amcl(robot, parts.slam)
     if parts.navigation:
         files["nav2"] = ros2_navigation.nav2(robot, parts)
         for source in parts.map_sources or ("none",):
@@ -166,6 +163,7 @@ def _parameter_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
             }
     space = ros2_parts.node_space(robot)
     comments = {"base_driver": ros2_parameters.FILTER_NOISE} if parts.localization else {}
+    comments["gnss"] = ros2_parameters.HEADING
     return {
         f"config/{file}.yaml": parameter_file(
             {space + node: values for node, values in nodes.items()}, comments.get(file, "")

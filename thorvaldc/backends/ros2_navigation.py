@@ -26,6 +26,9 @@ STEPS = 56  # steps of MPPI; 2.8 s ahead
 REVERSE_SHARE = 0.5  # speed in reverse, as a fraction of the robot's limit
 RESOLUTION = 0.05  # m, edge of a cell of the costmaps
 MARGIN = 0.3  # m, distance to obstacles that the planner prefers
+FARTHEST_MARK = (
+    0.95  # of the range of a lidar: Nav2 takes an infinite ray as one of almost its range
+)
 LOWEST_OBSTACLE = 0.1  # m above the ground, of points of 3d lidars
 
 
@@ -293,12 +296,13 @@ def _local_costmap(
 def global_costmap(robot: Robot, parts: ros2_parts.Parts, source: str) -> Parameters:
     """Return the parameters of the global costmap.
 
-    ``source`` is that of the localization: with ``slam``, the costmap has the map of slam_toolbox;
+    ``source`` is that of the localization: with ``slam`` and ``amcl``, the costmap has the map;
     otherwise it is an area around the robot.
     """
     values = _costmap(robot, footprint(robot), global_frame(robot, parts))
     layers = ["obstacle_layer", "inflation_layer"]
-    if source == "slam":
+    has_map = source in ("slam", "amcl")
+    if has_map:
         layers.insert(0, "static_layer")
         values["static_layer"] = {
             "plugin": "nav2_costmap_2d::StaticLayer",
@@ -311,7 +315,7 @@ def global_costmap(robot: Robot, parts: ros2_parts.Parts, source: str) -> Parame
         **values,
         "update_frequency": 1.0,
         "publish_frequency": 1.0,
-        "track_unknown_space": source == "slam",
+        "track_unknown_space": has_map,
         "plugins": layers,
         "obstacle_layer": _obstacles(robot, parts),
     }
@@ -333,10 +337,31 @@ def _obstacles(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
             "clearing": True,
             "min_obstacle_height": 0.0 if is_scan else LOWEST_OBSTACLE,
             "max_obstacle_height": 2.5,
-            "obstacle_max_range": min(reach, 20.0),
+            "obstacle_max_range": min(FARTHEST_MARK * reach, 20.0),
             "raytrace_max_range": min(reach, 22.0),
         }
+        if is_scan:
+            # A ray without an echo is infinite: it clears the way up to the range of the lidar.
+            values[name]["inf_is_valid"] = True
     return values
+
+
+def amcl(robot: Robot, lidar: Sensor) -> dict[str, Parameters]:
+    """Return the parameters of the nodes that localize the robot in a saved map with a 2d lidar."""
+    frame = ros2_parts.map_frame(robot)
+    model = "Omni" if is_holonomic(robot) else "Differential"
+    return {
+        "map_server": {"topic_name": "map", "frame_id": frame},
+        "amcl": {
+            "global_frame_id": frame,
+            "odom_frame_id": ros2_parts.odom_frame(robot),
+            "base_frame_id": ros2_parts.base_frame(robot),
+            "scan_topic": ros2_parts.sensor_topic(robot, lidar),
+            "map_topic": ros2_parts.full_topic(robot, "map"),
+            "laser_max_range": sensor_numbers(lidar)["range"],
+            "robot_model_type": f"nav2_amcl::{model}MotionModel",
+        },
+    }
 
 
 def _source_name(sensor: Sensor) -> str:

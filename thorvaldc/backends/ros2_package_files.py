@@ -17,14 +17,15 @@ from thorvaldc.backends.ros2_parameters import quoted
 from thorvaldc.backends.templates import Templates
 from thorvaldc.backends.xml_writer import escape
 from thorvaldc.model import Fleet, Robot, Sensor
-from thorvaldc.model.settings import ANY_FIRST, EKF, RAMP_FIRST, ZERO_FIRST
+from thorvaldc.model.settings import ANY_FIRST, EKF, RAMP_FIRST, ZERO_FIRST, RosSettings
 
 _NEEDED = re.compile(
     r'package="([a-z0-9_]+)"|get_package_share_directory\("([a-z0-9_]+)"\)|node\("([a-z0-9_]+)", "'
 )
+_NOBODY = "unknown <unknown@example.org>"
 _RUNTIME = ("ament_index_python", "launch", "launch_ros", "rclpy")
-_MESSAGES = ("diagnostic_msgs", "geometry_msgs", "nav_msgs", "rosgraph_msgs", "sensor_msgs")
-_MORE_MESSAGES = ("std_msgs", "std_srvs", "tf2_msgs")
+_MESSAGES = ("builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "nav_msgs", "rcl_interfaces")
+_MORE_MESSAGES = ("rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs", "tf2_msgs")
 _TEMPLATES = Templates("ros2", {"quoted": quoted, "xml": escape})
 
 LAUNCHES = {
@@ -38,6 +39,7 @@ LAUNCHES = {
     "joint_states": "the robot in Isaac Sim, by messages JointState",
     "gnss": "GNSS, odometry and IMU give the pose in `map`",
     "slam": "slam_toolbox makes a map",
+    "amcl": "AMCL gives the pose in a saved map; `map:=field.yaml`",
     "navigation": "Nav2 with its localization, beside a launch file that starts the robot",
     "base": "part of others: description and base driver",
 }
@@ -79,13 +81,17 @@ class Display(NamedTuple):
 
 def package_files(
     package: str,
-    description: str,
+    title: str,
+    settings: RosSettings,
     files: Mapping[str, bytes],
     launch_texts: Iterable[str],
     plugins: Iterable[str] = (),
+    description: str = "",
 ) -> dict[str, bytes]:
-    """Return the files that make the files of a folder an ament_python package, by path.
+    """Return the files of a folder and those that make it an ament_python package, by path.
 
+    - ``title``: one line, the description of a package without ``description``.
+    - ``settings``: licence, maintainer and version of the package.
     - ``files``: the other files of the package. Their folders are installed.
     - ``launch_texts``: text of the launch files. The package depends on the ROS packages that the
       launch files name.
@@ -97,18 +103,36 @@ def package_files(
             depends.add(next(name for name in groups if name))
     has_driver = f"{package}/base_driver.py" in files
     if has_driver:
-        depends.update(_MESSAGES, _MORE_MESSAGES)
+        depends.update(_MESSAGES, _MORE_MESSAGES, ["python3-venv"])  # README: the environment
     depends.discard(package)
     values = {
         "package": package,
-        "description": description,
+        "title": title,
+        "description": description or title,
+        "settings": settings,
+        "maintainer": (settings.maintainer or _NOBODY).removesuffix(">").split(" <"),
         "depends": sorted(depends),
         "has_driver": has_driver,
         "folders": sorted({posixpath.dirname(path) for path in files} - {"", package}),
     }
     paths = ("package.xml", "setup.py", "setup.cfg", "test/test_package.py")
     texts = {path: _TEMPLATES.render(posixpath.basename(path), **values) for path in paths}
-    return {path: text.encode() for path, text in texts.items()} | {f"resource/{package}": b""}
+    manifest = {path: text.encode() for path, text in texts.items()}
+    all_files = {**manifest, f"resource/{package}": b"", **files}
+    header = _license_header(settings).encode()
+    return {
+        path: header + data if path.endswith(".py") and data else data
+        for path, data in all_files.items()
+    }
+
+
+def _license_header(settings: RosSettings) -> str:
+    """Return the comment of each Python file, without a year: a build contains no date."""
+    if not settings.license:
+        return ""
+    owner = settings.maintainer.partition(" <")[0]
+    holder = f"# Copyright (c) {owner}\n" if owner else ""
+    return f"{holder}# SPDX-License-Identifier: {settings.license}\n\n"
 
 
 def driver_module(robot: Robot) -> dict[str, bytes]:
@@ -177,6 +201,8 @@ def rviz_text(robot: Robot, parts: ros2_parts.Parts) -> str:
         displays=displays,
         fixed_frame=ros2_parts.odom_frame(robot),
         goal_topic=topic("goal_pose"),
+        initial_topic=topic("initialpose"),
+        has_map=parts.slam is not None,
     )
 
 
@@ -214,7 +240,7 @@ def launch_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
     if parts.gnss is not None:
         names.append("gnss")
     if parts.slam is not None:
-        names.append("slam")
+        names += ["slam", "amcl"]
     if parts.navigation:
         names.append("navigation")
     if robot.actuators:

@@ -39,6 +39,12 @@ FILTER_NOISE = """\
 """
 """Comment about the covariance of the twists in the file of the base driver."""
 
+HEADING = """\
+# The yaw of the IMU must be 0 towards east. If it is 0 towards north, yaw_offset is pi/2; if it is
+# relative to magnetic north, magnetic_declination_radians is the declination at the place of work.
+"""
+"""Comment about the heading in the file of the localization by GNSS."""
+
 _NODE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)*/?[A-Za-z_][A-Za-z0-9_]*")
 _PLAIN_KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 # Words that some YAML readers read as a truth value, a number or null instead of text.
@@ -189,6 +195,7 @@ def ekf_map(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
 def _ekf(robot: Robot, world_frame: str) -> Parameters:
     return {
         "frequency": robot.driver.rate,
+        "sensor_timeout": 2.0 / robot.driver.rate,  # one message may be late
         "two_d_mode": True,
         "publish_tf": True,
         "map_frame": ros2_parts.map_frame(robot),
@@ -249,6 +256,8 @@ def navsat_transform(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
         "publish_filtered_gps": True,
         "use_odometry_yaw": parts.imu is None,
         "wait_for_datum": False,
+        "magnetic_declination_radians": 0.0,
+        "yaw_offset": 0.0,
     }
 
 

@@ -67,7 +67,7 @@ class Parts(NamedTuple):
     def map_sources(self) -> tuple[str, ...]:
         """The localizations that publish the transform from ``map`` to ``odom``; the launch file
         starts the first one by default."""
-        sources = (("slam", self.slam), ("gnss", self.gnss))
+        sources = (("slam", self.slam), ("gnss", self.gnss), ("amcl", self.slam))
         return tuple(name for name, sensor in sources if sensor is not None)
 
     @property

@@ -224,11 +224,18 @@ class RosSettings:
     - ``odom_tf``: the one node that publishes the transform from ``odom`` to ``base_link``:
       ``driver``, the base driver, or ``ekf``, the EKF of robot_localization.
     - ``package``: name of the ROS 2 package. Every robot of a fleet has its own package.
+    - ``license``: SPDX identifier of the package's licence, or an empty text.
+    - ``maintainer``: person who maintains the package, ``Name <mail@example.org>``, or an empty
+      text.
+    - ``version``: version of the package, three numbers with points between them.
     """
 
     distro: str = DISTROS[0]
     odom_tf: str = DRIVER
     package: str = "robot"
+    license: str = ""
+    maintainer: str = ""
+    version: str = "0.0.0"
 
     @property
     def stamped(self) -> bool:

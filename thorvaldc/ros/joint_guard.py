@@ -108,4 +108,5 @@ class JointGuard(Node):  # type: ignore[misc]
         return
 
     def stop_robot(self) -> None:
-        self._commands.stop()
+        # The launch ends this node when the base driver is killed: this command is the last one.
+        self._commands.close()

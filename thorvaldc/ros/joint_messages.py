@@ -18,6 +18,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
@@ -32,6 +33,8 @@ STATES_TOPICS = {
     JOINT_STATES: names.JOINT_STATES,
 }
 """Topic of the joint states in each dialect."""
+_DELIVERY = 0.1
+"""Longest real time (s) for which the end waits for each subscriber of commands."""
 
 
 class JointStateReader:
@@ -177,6 +180,9 @@ class JointCommandTopics:
         return self.publishers[-1]
 
     def close(self) -> None:
-        """Removes the publishers."""
+        """Stops the drives, because the other program keeps the last commands, and removes the
+        publishers when it has them."""
+        self.stop()
         for publisher in self.publishers:
+            publisher.wait_for_all_acked(Duration(seconds=_DELIVERY))
             self._node.destroy_publisher(publisher)

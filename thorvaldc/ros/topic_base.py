@@ -21,7 +21,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
@@ -43,7 +42,6 @@ _LOOK = 0.02
 """Longest real time (s) between two looks at the age of the joint states."""
 _EARLY = 0.25
 """Share of a period by which joint states may come early: stamps are not quite regular."""
-_DELIVERY = 0.1  # s, real time
 _HEARTBEAT = 0.035
 """Least time (s) between two heartbeats for the guard, which misses them after 0.2 s."""
 
@@ -287,10 +285,6 @@ class TopicBase(BaseHandle):
         yield ComponentStatus("joint topics", level, self._problem or "ok", values)
 
     def close(self) -> None:
-        """Stops the drives, because the other program keeps the last commands."""
-        self._commands.stop()
-        for publisher in self._commands.publishers:
-            publisher.wait_for_all_acked(Duration(seconds=_DELIVERY))
         self._commands.close()
         self._node.destroy_publisher(self._alive)
         self._node.destroy_subscription(self._subscription)

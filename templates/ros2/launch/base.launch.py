@@ -13,6 +13,7 @@ from launch.actions import (
     IncludeLaunchDescription,
     OpaqueFunction,
     SetLaunchConfiguration,
+    Shutdown,
 )
 # % if local_ekf
 from launch.conditions import IfCondition, UnlessCondition
@@ -37,6 +38,7 @@ ARGUMENTS = {
         "{{ odom_tf }}",
         "the base driver publishes the transform from odom to base_link",
     ),
+    "required": ("true", "the launch ends when the base driver or the guard has ended"),
     "urdf": ("robot.urdf", "the robot's description in the folder urdf"),
     "rviz": ("false", "start RViz"),
 }
@@ -79,6 +81,8 @@ def start(context):
         "joint_topics": argument("joint_topics", str),
     }
     rviz = copies_of(context, "rviz/robot.rviz")
+    is_required = LaunchConfiguration("required").perform(context).lower() == "true"
+    on_exit = end_launch if is_required else None
     return [
         Node(
             package="robot_state_publisher",
@@ -111,6 +115,7 @@ def start(context):
                 },
                 use_sim_time,
             ],
+            on_exit=on_exit,
         ),
         # The other program keeps the last commands, also when the base driver has ended.
         Node(
@@ -121,6 +126,7 @@ def start(context):
             namespace=NAMESPACE,
             output="screen",
             parameters=[joints, use_sim_time],
+            on_exit=on_exit,
         ),
         # % if local_ekf
         Node(
@@ -143,6 +149,14 @@ def start(context):
             parameters=[use_sim_time],
         ),
     ]
+
+
+def end_launch(event, context):
+    """End all that this launch has started, so that its supervisor can start it again."""
+    if event.returncode:
+        # An error in a launch ends it too; with Shutdown, its exit status would be 0.
+        raise RuntimeError(f"{event.process_name} has ended with status {event.returncode}")
+    return Shutdown(reason=f"{event.process_name} has ended")
 
 
 # % include "named_files.py"

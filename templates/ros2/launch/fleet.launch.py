@@ -44,6 +44,9 @@ def robot(number, base, group, package, namespace, pose, angles):
         file = "gazebo.launch.py"
         # One Gazebo runs, with the world of the fleet.
         arguments = {"world": world if number == 0 else "", **{k: str(v) for k, v in places}}
+    # A launch can end as a whole only, and the other robots go on when a base driver has ended: the
+    # motor controllers or the guard of its robot stop it.
+    arguments["required"] = "false"
     # The group keeps the arguments of a robot from the others.
     return GroupAction(
         [

@@ -41,13 +41,14 @@ def generate_launch_description():
             name=name,
             namespace=NAMESPACE,
             output="screen",
-            parameters=[parameters("nav2"), *more, stamped],
+            parameters=[parameters("nav2"), *more, own, stamped],
             remappings=remappings,
         )
 
     # velocity_smoother and collision_monitor pass the twists on to the base driver.
     out = [("cmd_vel", "cmd_vel_nav")]
     costmap = parameters("global_costmap_", localization)
+    own = ParameterFile(LaunchConfiguration("params_file"), allow_substs=True)
     return launch_description(
         DeclareLaunchArgument(
             "use_sim_time", default_value="false", description="take the time from /clock"
@@ -57,6 +58,11 @@ def generate_launch_description():
             default_value="{{ localizations[0] }}",
             choices=["{{ localizations | join('", "') }}"],
             description="node that publishes the transform from map to odom",
+        ),
+        DeclareLaunchArgument(
+            "params_file",
+            default_value=os.path.join(SHARE, "config", "nav2.yaml"),
+            description="parameters of Nav2 that replace those of this package",
         ),
         DeclareLaunchArgument(
             "stamped",

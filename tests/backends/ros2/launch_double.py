@@ -93,7 +93,8 @@ class Started:
 
     - ``namespace``: name space without the first slash;
     - ``files``: parameter files as the node gets them, with all substitutions resolved;
-    - ``sources``: the files that they were made of.
+    - ``sources``: the files that they were made of;
+    - ``on_exit``: what the launch does when it has ended.
     """
 
     package: str
@@ -105,6 +106,20 @@ class Started:
     sources: list[Path]
     remappings: dict[str, str]
     arguments: list[str]
+    on_exit: Any
+
+    def status_of_launch(self, status: int) -> int | None:
+        """Return the exit status of the launch that the end of the process ends, or ``None``."""
+        if self.on_exit is None:
+            return None
+        entity = self.on_exit
+        if callable(entity):
+            event = types.SimpleNamespace(process_name=f"{self.name}-1", returncode=status)
+            try:
+                entity = entity(event, None)
+            except Exception:  # as the real launch
+                return 1
+        return 0 if isinstance(entity, Shutdown) else None
 
 
 # -- substitutions ----------------------------------------------------------------
@@ -283,6 +298,16 @@ class SetLaunchConfiguration(Action):
         context.configurations[context.text(self.name)] = context.text(self.value)
 
 
+class Shutdown(Action):
+    """Ends the launch."""
+
+    def __init__(self, *, reason: str = "reason not given", **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+
+    def execute(self, context: Context) -> None:
+        raise LaunchError("the launch ends at its start")
+
+
 class PushRosNamespace(Action):
     """Puts the nodes that start later in the group into a name space."""
 
@@ -338,7 +363,7 @@ class _Process(Action):
         super().__init__(condition=condition)
         if output not in ("log", "screen", "both", "own_log", "full"):
             raise LaunchError(f"{output} is no output")
-        self.arguments = list(arguments)
+        self.arguments, self.on_exit = list(arguments), on_exit
 
 
 class Node(_Process):
@@ -382,6 +407,7 @@ class Node(_Process):
                 sources,
                 {context.name(a): context.name(b) for a, b in self.remappings},
                 [context.text(item) for item in self.arguments],
+                self.on_exit,
             )
         )
         for key, value in parameters.items():
@@ -505,6 +531,7 @@ def _modules(context: Context) -> Iterator[None]:
             "IncludeLaunchDescription": IncludeLaunchDescription,
             "OpaqueFunction": OpaqueFunction,
             "SetLaunchConfiguration": SetLaunchConfiguration,
+            "Shutdown": Shutdown,
         },
         "launch.conditions": {"IfCondition": IfCondition, "UnlessCondition": UnlessCondition},
         "launch.launch_description_sources": {

@@ -103,5 +103,8 @@ def launch(robot: Robot, folder: Path, file: str, **arguments: str) -> Context:
     # Nav2 and ros_gz_sim are not installed where the tests run.
     shares["nav2_bt_navigator"] = folder / "nav2_bt_navigator"
     shares["ros_gz_sim"] = write(folder / "ros_gz_sim", {"launch/gz_sim.launch.py": GZ_SIM})
+    if file == "amcl" or arguments.get("localization") == "amcl":
+        saved_map = write(shares[robot.ros.package], {"field.yaml": b"image: field.pgm\n"})
+        arguments = {"map": str(saved_map / "field.yaml"), **arguments}
     path = shares[robot.ros.package] / "launch" / f"{file}.launch.py"
     return run(path, shares, **arguments)

@@ -30,6 +30,8 @@ from thorvaldc.ros.parameters import PARAMETERS
 
 # Executables of each ROS package in Jazzy and Kilted.
 EXECUTABLES = {
+    "nav2_amcl": {"amcl"},
+    "nav2_map_server": {"map_server"},
     "nav2_behaviors": {"behavior_server"},
     "nav2_bt_navigator": {"bt_navigator"},
     "nav2_collision_monitor": {"collision_monitor"},
@@ -135,6 +137,21 @@ def test_bases(file: str, base: str, simulated_time: bool, tmp_path: Path) -> No
     assert all(node.parameters["use_sim_time"] is simulated_time for node in nodes.values())
     assert Path(driver["model_file"]).is_file()
     assert driver["real_time_factor"] == 1.0
+
+
+@pytest.mark.parametrize("required", ["true", "false"])
+def test_a_launch_ends_with_its_base_driver_and_its_guard(required: str, tmp_path: Path) -> None:
+    """Its exit status lets a supervisor start it again after a failure."""
+    robot = example_robot("4wd4ws_wide")
+    count = 0
+    others = {"teleop", "gnss", "slam", "amcl", "navigation"}
+    for file in set(launch_names(robot)) - others:
+        for node in launch(robot, tmp_path, file, required=required).started:
+            ends = required == "true" and node.executable in ("base_driver", "joint_guard")
+            count += ends
+            assert node.status_of_launch(0) == (0 if ends else None)
+            assert node.status_of_launch(-9) == (1 if ends else None)
+    assert count == (11 if required == "true" else 0)
 
 
 def test_arguments_reach_the_base_driver(tmp_path: Path) -> None:
@@ -271,6 +288,7 @@ def test_fleet(tmp_path: Path) -> None:
         assert float(options["--y"]) == placement.pose.xyz[1]
         assert float(options["--qw"]) == placement.pose.quat[0]
         assert options["--child-frame-id"] == f"{placement.name}/odom"
+    assert all(node.status_of_launch(-9) is None for node in nodes.values())
     without = run(
         shares["fleet_of_four_fleet"] / "launch" / "fleet.launch.py",
         shares,
@@ -360,6 +378,7 @@ def test_a_fleet_in_one_gazebo(tmp_path: Path) -> None:
             parameters = nodes[f"/{placement.name}/{name}"].parameters
             assert parameters["joint_topics"] == "gazebo"
             assert parameters["use_sim_time"] is True
+    assert all(node.status_of_launch(-9) is None for node in nodes.values())
 
 
 def test_rviz_shows_the_frames_and_topics_of_the_robot() -> None:
@@ -370,6 +389,7 @@ def test_rviz_shows_the_frames_and_topics_of_the_robot() -> None:
     assert manager["Global Options"]["Fixed Frame"] == "r1/odom"
     topics = re.findall(r'Value: "(\S+)"', text)
     assert {"/r1/robot_description", "/r1/odometry/base_raw", "/r1/lidar_front/scan"} <= set(topics)
+    assert {"/r1/goal_pose", "/r1/initialpose"} <= set(topics)
     assert all(topic.startswith("/r1/") for topic in topics)
 
 

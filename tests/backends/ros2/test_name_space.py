@@ -33,7 +33,7 @@ ARGUMENTS = {
     "gazebo": {"controller": ["base_driver", "standard"], "world": ["", "my.sdf"]},
     "ros2_control": {"hardware": ["mock", "mujoco"]},
     "teleop": {"stamped": ["true", "false"]},
-    "navigation": {"localization": ["slam", "gnss"]},
+    "navigation": {"localization": ["slam", "gnss", "amcl"]},
 }
 """Values of the arguments that decide what a launch file starts."""
 

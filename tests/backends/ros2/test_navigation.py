@@ -18,18 +18,21 @@ from tests.backends.ros2.packages import (
     parameter_files,
     parameters,
     variant,
+    write,
 )
 from tests.backends.ros2.test_declared_parameters import car_with_lidar
 from tests.examples import SAMPLED_ROBOTS, example_robot
 from thorvaldc.backends.ros2 import package_of
 from thorvaldc.backends.ros2_navigation import Motion
 from thorvaldc.model import Robot
+from thorvaldc.model.sensor_numbers import sensor_numbers
 from thorvaldc.model.statics.occupied_space import footprint
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.runtime.twist_ramp import Ramp
 
 FRAMES = {
     *("global_frame", "robot_base_frame", "local_frame", "base_frame_id", "odom_frame_id"),
+    *("global_frame_id", "frame_id"),
     *("map_frame", "odom_frame", "base_link_frame", "world_frame", "base_frame", "frame"),
 }
 
@@ -71,10 +74,10 @@ def test_one_node_publishes_each_transform(owner: str, tmp_path: Path) -> None:
     assert values["/base_driver"]["enable_odom_tf"] is (owner == "driver")
     assert len(local) == (owner == "ekf")
     assert all(ekf["world_frame"] == ekf["odom_frame"] == "odom" for ekf in local)
-    for source, owner_of_map in (("slam", "slam_toolbox"), ("gnss", "ekf_map")):
+    for source, owner_of_map in (("slam", "slam_toolbox"), ("gnss", "ekf_map"), ("amcl", "amcl")):
         nodes = launch(robot, tmp_path, "navigation", localization=source).started
         names = {node.name for node in nodes}
-        assert names & {"slam_toolbox", "ekf_map"} == {owner_of_map}
+        assert names & {"slam_toolbox", "ekf_map", "amcl"} == {owner_of_map}
         assert "ekf_odom" not in names
     assert values["/ekf_map"]["world_frame"] == "map"
     topic = "/odometry/base_raw" if owner == "driver" else "/odometry/filtered"
@@ -121,7 +124,7 @@ def _all(values: dict[str, dict[str, Any]], name: str) -> list[tuple[str, Any]]:
 @pytest.mark.parametrize("simulated", ["true", "false"])
 def test_all_nodes_have_the_same_clock(simulated: str, tmp_path: Path) -> None:
     robot = example_robot("4wd4ws_wide")
-    for file in ("navigation", "slam", "gnss"):
+    for file in ("navigation", "slam", "gnss", "amcl"):
         nodes = launch(robot, tmp_path, file, use_sim_time=simulated).started
         assert {node.parameters["use_sim_time"] for node in nodes} == {simulated == "true"}
 
@@ -285,11 +288,54 @@ def test_each_robot_has_only_what_it_can_use() -> None:
     assert "launch/gnss.launch.py" in car
     assert "launch/navigation.launch.py" not in car
     slim = files(example_robot("4wd4ws_slim"))
-    assert {"launch/slam.launch.py", "launch/navigation.launch.py"} <= slim
+    assert {"launch/slam.launch.py", "launch/amcl.launch.py", "launch/navigation.launch.py"} <= slim
     assert "config/gnss.yaml" not in slim
     wide = files(example_robot("4wd4ws_wide"))
     assert {"config/global_costmap_slam.yaml", "config/global_costmap_gnss.yaml"} <= wide
     assert "config/ekf_odom.yaml" not in wide
+
+
+def test_a_saved_map(tmp_path: Path) -> None:
+    """AMCL and the costmap get it; a file that is not there is an error."""
+    robot = variant("4wd4ws_wide", namespace="r1")
+    nodes = {n.name: n for n in launch(robot, tmp_path, "navigation", localization="amcl").started}
+    assert nodes["map_server"].parameters["yaml_filename"] == str(
+        tmp_path / robot.ros.package / "field.yaml"
+    )
+    managed = nodes["lifecycle_manager_amcl"].parameters["node_names"]
+    assert set(managed) <= set(nodes)
+    values = parameter_files(robot)
+    costmap = values["global_costmap_amcl"]["/r1/global_costmap/global_costmap"]
+    assert costmap == values["global_costmap_slam"]["/r1/global_costmap/global_costmap"]
+    assert costmap["static_layer.map_topic"] == values["amcl"]["/r1/amcl"]["map_topic"] == "/r1/map"
+    assert values["amcl"]["/r1/amcl"]["robot_model_type"] == "nav2_amcl::OmniMotionModel"
+    with pytest.raises(RuntimeError, match="expected a saved map"):
+        launch(robot, tmp_path, "amcl", map="")
+
+
+def test_parameters_of_the_user_replace_those_of_nav2(tmp_path: Path) -> None:
+    robot = variant("4wd4ws_wide", namespace="r1")
+    text = "/r1/planner_server:\n  ros__parameters: {expected_planner_frequency: 5.0}\n"
+    own = write(tmp_path, {"own.yaml": text.encode()}) / "own.yaml"
+    context = launch(robot, tmp_path, "navigation", params_file=str(own))
+    nodes = [node for node in context.started if node.package.startswith("nav2_")]
+    for node in nodes:
+        if not node.name.startswith("lifecycle_manager"):
+            assert node.sources[-1] == own, node.name
+            assert node.sources[0].name == "nav2.yaml"
+    assert len(nodes) > 8
+
+
+def test_a_ray_without_an_echo_clears_the_costmaps_and_marks_nothing() -> None:
+    """With `inf_is_valid`, Nav2 takes it as an echo 0.1 mm before the range of the lidar."""
+    robot = example_robot("4wd4ws_wide")
+    (lidar,) = (sensor for sensor in robot.sensors if sensor.type == "lidar_2d")
+    for costmap in ("/local_costmap/local_costmap", "/global_costmap/global_costmap"):
+        values = {k: v for k, v in parameters(robot)[costmap].items() if "lidar_front" in k}
+        values = {last(name): value for name, value in values.items()}
+        assert values["inf_is_valid"] is True
+        assert values["obstacle_max_range"] < sensor_numbers(lidar)["range"] - 0.1
+        assert values["raytrace_max_range"] > values["obstacle_max_range"]
 
 
 def test_navigation_without_a_map_uses_the_frame_of_the_odometry() -> None:

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import ast
+import dataclasses
+import importlib
 import os
 import re
 import subprocess
 import sys
+import venv
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
 from tests.backends.ros2.packages import install, variant, write
-from tests.examples import SAMPLED_ROBOTS, example_fleet, example_robot
-from tests.ros.environments import DISTROS, python_of
+from tests.examples import ROBOTS, SAMPLED_ROBOTS, example_fleet, example_robot
+from tests.ros.environments import DISTROS, ROOT, python_of
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.backends.ros2 import Ros2, package_of
 from thorvaldc.model.model_json import from_json
+
+ROSDEP_KEYS = {"python3-venv"}
+"""Dependencies that are packages of Debian and Ubuntu, in rosdep/python.yaml of rosdistro."""
 
 
 @pytest.mark.parametrize("name", SAMPLED_ROBOTS)
@@ -31,6 +38,64 @@ def test_manifest(name: str) -> None:
     assert depends == sorted(set(depends), key=str)
     assert robot.ros.package not in depends
     assert f"resource/{robot.ros.package}" in files
+
+
+def dependencies(manifest: bytes) -> set[str]:
+    return {str(element.text) for element in ElementTree.fromstring(manifest).iter("exec_depend")}
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_dependency_is_released(name: str) -> None:
+    lines = (
+        (Path(__file__).parent / "released_packages.txt").read_text(encoding="utf-8").split("\n")
+    )
+    released = {line for line in lines if line and not line.startswith("#")}
+    depends = dependencies(package_of(variant(name, odom_tf="ekf"))["package.xml"])
+    assert depends - ROSDEP_KEYS <= released
+
+
+def test_the_packages_that_the_base_driver_imports_are_dependencies() -> None:
+    imported = set()
+    for path in Path(importlib.import_module("thorvaldc.ros").__path__[0]).glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                imported.add(str(node.module).partition(".")[0])
+            elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("optional_type"):
+                imported.add(ast.literal_eval(node.args[0]))
+    of_ros = imported - sys.stdlib_module_names - {"thorvaldc"}
+    assert {"rclpy", "rcl_interfaces", "can_msgs", "tf2_msgs"} < of_ros
+    assert of_ros <= dependencies(package_of(cia402_robot())["package.xml"])
+
+
+def test_the_manifest_says_what_the_robot_file_says() -> None:
+    robot = variant(
+        "car", license="MIT", maintainer='Bo "B" & Co <b@example.org>', version="1.20.0"
+    )
+    robot = dataclasses.replace(robot, description="Steers with <two> wheels\n& drives two.")
+    files = package_of(robot)
+    manifest = ElementTree.fromstring(files["package.xml"])
+    maintainer = manifest.find("maintainer")
+    assert maintainer is not None
+    assert manifest.findtext("description") == robot.description
+    stated = [manifest.findtext(key) for key in ("license", "version")]
+    stated += [maintainer.text, maintainer.get("email")]
+    assert stated == ["MIT", "1.20.0", 'Bo "B" & Co', "b@example.org"]
+    setup = ast.parse(files["setup.py"])
+    calls = [node for node in ast.walk(setup) if isinstance(node, ast.Call)]
+    (call,) = (node for node in calls if ast.unparse(node.func) == "setup")
+    values = {keyword.arg: keyword.value for keyword in call.keywords}
+    keys = ("license", "version", "maintainer", "maintainer_email")
+    assert [ast.literal_eval(values[key]) for key in keys] == stated
+
+
+def test_python_files_name_their_licence() -> None:
+    plain = package_of(variant("car"))
+    stated = package_of(variant("car", license="MIT", maintainer="Bo <b@example.org>"))
+    header = b"# Copyright (c) Bo\n# SPDX-License-Identifier: MIT\n\n"
+    for path in [path for path in plain if path.endswith(".py") and path != "setup.py"]:
+        assert stated[path] == (header if plain[path] else b"") + plain[path], path
+    assert stated["setup.py"].startswith(header)
+    assert not any(b"SPDX" in data for data in plain.values())
 
 
 def test_a_robot_with_foreign_devices_depends_on_their_messages() -> None:
@@ -123,3 +188,24 @@ def test_the_program_says_where_thorvaldc_is_missing(tmp_path: Path) -> None:
     assert result.returncode == 1
     assert "has no package thorvaldc" in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def test_the_program_finds_thorvaldc_in_an_environment(tmp_path: Path) -> None:
+    """Without a variable of the shell."""
+    robot = example_robot("car")
+    folder = write(tmp_path, package_of(robot))
+    environment = tmp_path / "thorvaldc-env"
+    venv.create(environment, with_pip=False, symlinks=True)
+    (site,) = environment.glob("lib/python3*/site-packages")
+    (site / "checkout.pth").write_text(f"{ROOT}\n", encoding="utf-8")
+    result = subprocess.run(
+        [sys.executable, "-S", "-m", f"{robot.ros.package}.base_driver", "--ros-args"],
+        cwd=folder,
+        env={"PATH": os.environ["PATH"], "HOME": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert f"rclpy of ROS 2 is missing in {environment}/bin/python" in result.stderr
+    assert result.returncode == 3

@@ -42,10 +42,29 @@ def settings(folder: Path, text: str) -> RosSettings:
             "name: cart\nros: {distro: kilted, odom_tf: ekf, package: mine}",
             RosSettings("kilted", "ekf", "mine"),
         ),
+        (
+            "name: cart\nros: {license: MIT, maintainer: Bo & Co <b@c.d>, version: 1.20.0}",
+            RosSettings("jazzy", "driver", "cart", "MIT", "Bo & Co <b@c.d>", "1.20.0"),
+        ),
     ],
 )
 def test_settings_and_their_defaults(tmp_path: Path, text: str, expected: RosSettings) -> None:
     assert settings(tmp_path, text) == expected
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("maintainer: Bo", "maintainer: b@c.d", "maintainer: <b@c.d>", "maintainer: Bo <b>"),
+        *('version: "1.2"', "version: 1.2.3.4", "version: 01.2.3", "version: v1.2.3"),
+        r'license: "MIT\nBSD"',
+    ],
+)
+def test_a_text_that_no_manifest_can_have_is_an_error(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(f"thorvaldc: 1\nname: cart\nros: {{{text}}}\n{BODY}", encoding="utf-8")
+    (error,) = compile_file(path).report.errors
+    assert (error.code.name, error.span.line) == ("unknown-value", 3)
 
 
 def test_twists_are_stamped_from_kilted_on() -> None:

@@ -7,6 +7,7 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -77,6 +78,23 @@ def node(
     if namespace:
         arguments += ["-r", f"__ns:=/{namespace}"]
     return process(distro, folder, arguments)
+
+
+@contextlib.contextmanager
+def interrupted_after(first: ChildProcess, other: ChildProcess) -> Iterator[None]:
+    """Ends a process by SIGINT as soon as another one has ended, as ``launch`` does."""
+
+    def interrupt() -> None:
+        first.wait()
+        other.send_signal(signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        first.end()
+        thread.join()
 
 
 def end(started: ChildProcess) -> dict[str, Any]:

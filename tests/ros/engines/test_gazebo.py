@@ -213,24 +213,32 @@ def test_a_robot_of_changed_files_loses_its_way(
 @each_distro()
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("number", "guarded", "longest"),
-    [(signal.SIGTERM, False, 1.5), (signal.SIGKILL, True, 1.5), (signal.SIGSTOP, True, 1.5)],
-    ids=["ended", "killed", "frozen"],
+    ("number", "guarded", "launched"),
+    [
+        (signal.SIGTERM, False, False),
+        (signal.SIGKILL, True, False),
+        (signal.SIGKILL, True, True),
+        (signal.SIGSTOP, True, False),
+    ],
+    ids=["ended", "killed", "killed in a launch", "frozen"],
 )
 def test_the_robot_stops_when_its_driver_ends(
-    distro: str, number: signal.Signals, guarded: bool, longest: float, tmp_path: Path
+    distro: str, number: signal.Signals, guarded: bool, launched: bool, tmp_path: Path
 ) -> None:
+    """``launched``: the launch ends the guard as soon as the driver has ended."""
     package = build(STEERED, tmp_path)
     file = scene("mujoco", tmp_path, package)
     with contextlib.ExitStack() as stack:
         stack.enter_context(running.engine(distro, tmp_path, "mujoco", file, [package]))
         driver = stack.enter_context(running.node(distro, tmp_path, package))
         if guarded:
-            stack.enter_context(running.node(distro, tmp_path, package, guard=True))
+            guard = stack.enter_context(running.node(distro, tmp_path, package, guard=True))
+        if launched:
+            stack.enter_context(running.interrupted_after(driver, guard))
         out = run_client(distro, "engines.kill", tmp_path, driver.pid, int(number))
     result = json.loads(out)
     assert abs(result["speed"]) < 0.01
-    assert result["time"] < longest
+    assert result["time"] < 1.5
 
 
 @FIRST

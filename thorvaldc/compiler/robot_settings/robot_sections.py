@@ -7,6 +7,7 @@ and its names in ROS 2.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -199,7 +200,28 @@ def read_ros_settings(section: Section, robot_name: str, report: Report) -> ros.
                     ros.package_name(package),
                 ),
             )
-    return ros.RosSettings(section["distro"], section["odom_tf"], package)
+    texts = [_stated_text(section, key, *form, report) for key, form in _MANIFEST.items()]
+    return ros.RosSettings(section["distro"], section["odom_tf"], package, *texts)
+
+
+_MANIFEST = {
+    "license": (r"[^\n]+", "Apache-2.0"),
+    "maintainer": (r"[^<>\n]*[^<>\s] <[^<>@\s]+@[^<>@\s]+>", "Ada Field <ada@example.org>"),
+    "version": (r"(0|[1-9][0-9]*)([.](0|[1-9][0-9]*)){2}", "1.2.0"),
+}
+"""Form and example of the texts of the section `ros` that a ``package.xml`` contains (REP 149)."""
+
+
+def _stated_text(section: Section, key: str, form: str, example: str, report: Report) -> str:
+    text = str(section[key] or "")
+    if key in section and not re.fullmatch(form, text):
+        report.add(
+            "unknown-value",
+            f"`{text}` cannot be the {key} of a ROS 2 package",
+            section.entry(key).span,
+            hint=f"write it as `{example}`",
+        )
+    return text
 
 
 def check_ros_names(robot: Robot, document: Node, report: Report) -> None:

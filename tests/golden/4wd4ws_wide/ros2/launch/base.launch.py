@@ -13,6 +13,7 @@ from launch.actions import (
     IncludeLaunchDescription,
     OpaqueFunction,
     SetLaunchConfiguration,
+    Shutdown,
 )
 from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
@@ -33,6 +34,7 @@ ARGUMENTS = {
         "true",
         "the base driver publishes the transform from odom to base_link",
     ),
+    "required": ("true", "the launch ends when the base driver or the guard has ended"),
     "urdf": ("robot.urdf", "the robot's description in the folder urdf"),
     "rviz": ("false", "start RViz"),
 }
@@ -75,6 +77,8 @@ def start(context):
         "joint_topics": argument("joint_topics", str),
     }
     rviz = copies_of(context, "rviz/robot.rviz")
+    is_required = LaunchConfiguration("required").perform(context).lower() == "true"
+    on_exit = end_launch if is_required else None
     return [
         Node(
             package="robot_state_publisher",
@@ -107,6 +111,7 @@ def start(context):
                 },
                 use_sim_time,
             ],
+            on_exit=on_exit,
         ),
         # The other program keeps the last commands, also when the base driver has ended.
         Node(
@@ -117,6 +122,7 @@ def start(context):
             namespace=NAMESPACE,
             output="screen",
             parameters=[joints, use_sim_time],
+            on_exit=on_exit,
         ),
         Node(
             condition=IfCondition(LaunchConfiguration("rviz")),
@@ -128,6 +134,14 @@ def start(context):
             parameters=[use_sim_time],
         ),
     ]
+
+
+def end_launch(event, context):
+    """End all that this launch has started, so that its supervisor can start it again."""
+    if event.returncode:
+        # An error in a launch ends it too; with Shutdown, its exit status would be 0.
+        raise RuntimeError(f"{event.process_name} has ended with status {event.returncode}")
+    return Shutdown(reason=f"{event.process_name} has ended")
 
 
 def parameters(*name):

@@ -36,13 +36,14 @@ def generate_launch_description():
             name=name,
             namespace=NAMESPACE,
             output="screen",
-            parameters=[parameters("nav2"), *more, stamped],
+            parameters=[parameters("nav2"), *more, own, stamped],
             remappings=remappings,
         )
 
     # velocity_smoother and collision_monitor pass the twists on to the base driver.
     out = [("cmd_vel", "cmd_vel_nav")]
     costmap = parameters("global_costmap_", localization)
+    own = ParameterFile(LaunchConfiguration("params_file"), allow_substs=True)
     return launch_description(
         DeclareLaunchArgument(
             "use_sim_time", default_value="false", description="take the time from /clock"
@@ -50,8 +51,13 @@ def generate_launch_description():
         DeclareLaunchArgument(
             "localization",
             default_value="slam",
-            choices=["slam", "gnss"],
+            choices=["slam", "gnss", "amcl"],
             description="node that publishes the transform from map to odom",
+        ),
+        DeclareLaunchArgument(
+            "params_file",
+            default_value=os.path.join(SHARE, "config", "nav2.yaml"),
+            description="parameters of Nav2 that replace those of this package",
         ),
         DeclareLaunchArgument(
             "stamped",
@@ -68,6 +74,10 @@ def generate_launch_description():
                 IncludeLaunchDescription(
                     PythonLaunchDescriptionSource(os.path.join(launch, "gnss.launch.py")),
                     condition=IfCondition(EqualsSubstitution(localization, "gnss")),
+                ),
+                IncludeLaunchDescription(
+                    PythonLaunchDescriptionSource(os.path.join(launch, "amcl.launch.py")),
+                    condition=IfCondition(EqualsSubstitution(localization, "amcl")),
                 ),
                 node("nav2_controller", "controller_server", remappings=out),
                 node("nav2_smoother", "smoother_server"),
