@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 LONGEST_INTERFACE = 15
 """Longest name of a network interface of Linux (IFNAMSIZ - 1)."""
-USER, PROGRAM = "robot", "/opt/thorvaldc/bin/thorvaldc"
+USER, PROGRAM = "robot", "/opt/thorvaldc-env/bin/thorvaldc"
 
 
 def interface_name(bus: str) -> str:

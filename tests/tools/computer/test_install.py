@@ -70,7 +70,9 @@ def test_what_an_installation_makes_and_a_removal_removes(root: Path, thorvaldc:
     outcome = thorvaldc("install", "good.yaml", "--root", str(root))
     assert (outcome.status, outcome.out) == (0, planned.out)
     assert f"link {UNIT}" in outcome.out
-    assert "ExecStart=/opt/thorvaldc/bin/thorvaldc run /var/lib/thorvaldc/good/" in read(root, UNIT)
+    assert "ExecStart=/opt/thorvaldc-env/bin/thorvaldc run /var/lib/thorvaldc/good/" in read(
+        root, UNIT
+    )
     assert "BitRate=500000" in read(root, "/etc/systemd/network/50-good-can_main.network")
     assert read(root, f"{NAME}/current/robot/good.yaml") == GOOD
     again = thorvaldc("install", "good.yaml", "--root", str(root))
@@ -221,7 +223,7 @@ def test_systemd_reads_the_unit(root: Path, thorvaldc: Command, more: str) -> No
     Path("good.yaml").write_text(GOOD + more, encoding="utf-8")
     thorvaldc("build", "good.yaml", "--target", "computer", "-o", "out")
     (unit,) = Path("out/computer/systemd").iterdir()
-    text = unit.read_text(encoding="utf-8").replace("/opt/thorvaldc/bin/thorvaldc", "/bin/true")
+    text = unit.read_text(encoding="utf-8").replace("/opt/thorvaldc-env/bin/thorvaldc", "/bin/true")
     unit.write_text(text, encoding="utf-8")
     run = subprocess.run(
         ["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, check=False
