@@ -214,6 +214,7 @@ BO_ 3 Nested: 8 A
  SG_ top M : 0|8@1+ (1,0) [0|0] "" B
  SG_ inner m1M : 8|8@1+ (1,0) [0|0] "" B
  SG_ deep m2 : 16|8@1+ (1,0) [0|0] "" B
+VAL_ 2 good 300 "far" 1 "near";
 SG_MUL_VAL_ 3 inner top 1-1;
 SG_MUL_VAL_ 3 deep inner 2-2;
 """
@@ -225,6 +226,7 @@ def test_what_cannot_be_said_is_left_out_by_name(thorvaldc: Command) -> None:
     notes = dict(re.findall(r"mine\.dbc:(\d+):1: note\[TV936\] \S+ the \w+ (`\S+`)", made.err))
     assert notes == {
         "5": "`Long`",
+        "8": "`far`",
         "9": "`again`",
         "10": "`outside`",
         "11": "`flat`",
@@ -232,6 +234,7 @@ def test_what_cannot_be_said_is_left_out_by_name(thorvaldc: Command) -> None:
         "16": "`Nested.deep`",
     }
     text = Path("modules/io/mine/module.yaml").read_text(encoding="utf-8")
+    assert "choices: {near: 1}" in text
     assert compare(compiled_bus(text), LEFT_OUT_READ, random.Random(4), {}) > 20
 
 

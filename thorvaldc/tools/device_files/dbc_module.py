@@ -16,12 +16,14 @@ from typing import Any, NamedTuple
 from thorvaldc.compiler.source.units import UnitError, parse_unit
 from thorvaldc.diagnostics import OutsideError, Report, Span, did_you_mean
 from thorvaldc.diagnostics.installation import install_command
+from thorvaldc.model import Signal
 from thorvaldc.tools.device_files.device_module import (
     DeviceModule,
     ModuleFrame,
     ModuleSignal,
     Names,
     left_out,
+    plain_text,
     quoted,
     read_contained,
     without_refused,
@@ -123,6 +125,12 @@ def _signals(message: dict[str, Any], file: str, report: Report) -> Iterator[Mod
             reason = f"it belongs to the multiplexer `{selector}`; a frame has one multiplexer"
             left_out(report, f"the signal `{message['name']}.{name}`", reason, span)
             continue
+        low, high = Signal("", 0, signal["length"], signal["signed"]).raw_range
+        for raw, text in [*signal["choices"]]:
+            if not low <= raw <= high:
+                signal["choices"].remove([raw, text])
+                reason = f"it is {raw}; `{name}` has the range {low} to {high}"
+                left_out(report, f"the choice `{plain_text(text)}`", reason, span)
         keys = _signal_keys(signal, message["is_report"])
         if keys is None:
             reason = "its scale or offset is not finite"
