@@ -17,9 +17,9 @@ CART = (
     '<robot name="cart">'
     + _BODY.format("base", 8, '<box size="0.5 0.3 0.1"/>')
     + _BODY.format("left", 1, '<cylinder radius="0.1" length="0.04"/>')
-    + _BODY.format("right", 1, '<mesh filename="mesh.stl" scale="0.1 0.1 0.1"/>')
+    + _BODY.format("right", 1, '<cylinder radius="0.1" length="0.04"/>')
     + _BODY.format("caster", 0.5, '<sphere radius="0.04"/>')
-    + _BODY.format("camera", 0.2, '<box size="0.05 0.05 0.05"/>')
+    + _BODY.format("camera", 0.2, '<mesh filename="mesh.stl" scale="0.1 0.1 0.1"/>')
     + _HINGE.format("left_spin", "continuous", "0.1 0.2 0", "-1.5708 0 0", "left")
     + _HINGE.format("right_spin", "continuous", "0.1 -0.2 0", "-1.5708 0 0", "right")
     + _HINGE.format("ball", "fixed", "-0.2 0 -0.06", "0 0 0", "caster")
