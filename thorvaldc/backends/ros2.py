@@ -138,6 +138,7 @@ def _parameter_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
         "robot_state_publisher": {
             "robot_state_publisher": ros2_parameters.robot_state_publisher(robot)
         },
+        "diagnostics": {"analyzers": ros2_parameters.aggregator(robot)},
         "teleop_twist_joy": {
             "game_controller_node": ros2_parameters.game_controller(robot),
             "teleop_twist_joy_node": ros2_parameters.teleop(robot, robot.ros.stamped),

@@ -153,6 +153,32 @@ def robot_state_publisher(robot: Robot) -> Parameters:
     }
 
 
+def aggregator(robot: Robot) -> Parameters:
+    """Return the ROS 2 parameters of diagnostic_aggregator: the statuses of the base driver in
+    groups, of which those that every base publishes are expected."""
+    motors = dict.fromkeys(a.node for a in robot.actuators if a.node is not None)
+    batteries = [battery.name for battery in robot.batteries]
+    groups = {
+        "base_driver": ["states", "joint topics"],
+        "buses": [f"bus {bus.name}" for bus in robot.buses],
+        "motor_controllers": list(motors),
+        "batteries": [*batteries, *(["supply"] if len(batteries) > 1 else [])],
+    }
+    start = f"{robot.prefix}base_driver: "
+    expected = {"expected": [start + name for name in ("driver", "commands", "timing")]}
+    analyzers: Parameters = {
+        group: {
+            "type": "diagnostic_aggregator/GenericAnalyzer",
+            "path": group,
+            "startswith": [start + name for name in names],
+            **(expected if group == "base_driver" else {}),
+        }
+        for group, names in groups.items()
+        if names
+    }
+    return {"path": robot.name, **analyzers}
+
+
 # -- localization: robot_localization and slam_toolbox -------------------------------------
 #
 # robot_localization takes the covariances of its inputs from the messages: those of the odometry

@@ -40,6 +40,7 @@ ARGUMENTS = {
     ),
     "required": ("true", "the launch ends when the base driver or the guard has ended"),
     "urdf": ("robot.urdf", "the robot's description in the folder urdf"),
+    "diagnostics": ("false", "start diagnostic_aggregator, one for all robots of a domain"),
     "rviz": ("false", "start RViz"),
 }
 
@@ -139,6 +140,15 @@ def start(context):
             parameters=[parameters("ekf_odom"), use_sim_time],
         ),
         # % endif
+        Node(
+            condition=IfCondition(LaunchConfiguration("diagnostics")),
+            package="diagnostic_aggregator",
+            executable="aggregator_node",
+            name="analyzers",
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[parameters("diagnostics"), use_sim_time],
+        ),
         Node(
             condition=IfCondition(LaunchConfiguration("rviz")),
             package="rviz2",

@@ -30,6 +30,7 @@ from thorvaldc.ros.parameters import PARAMETERS
 
 # Executables of each ROS package in Jazzy and Kilted.
 EXECUTABLES = {
+    "diagnostic_aggregator": {"aggregator_node"},
     "nav2_amcl": {"amcl"},
     "nav2_map_server": {"map_server"},
     "nav2_behaviors": {"behavior_server"},
@@ -112,7 +113,11 @@ def test_all_launch_files_start_in_the_name_space(
 
 
 def extra_arguments(file: str) -> dict[str, str]:
-    return {"rviz": "true"} if file in ("base", "ideal", "mujoco", "robot", "virtual") else {}
+    return (
+        {"rviz": "true", "diagnostics": "true"}
+        if file in ("base", "ideal", "mujoco", "robot", "virtual")
+        else {}
+    )
 
 
 @pytest.mark.parametrize(

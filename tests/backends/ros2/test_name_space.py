@@ -47,7 +47,11 @@ def combinations(robot: Robot) -> Iterator[tuple[str, dict[str, str]]]:
 
 
 def rviz(file: str) -> dict[str, str]:
-    return {"rviz": "true"} if file in ("base", "ideal", "mujoco", "robot", "virtual") else {}
+    return (
+        {"rviz": "true", "diagnostics": "true"}
+        if file in ("base", "ideal", "mujoco", "robot", "virtual")
+        else {}
+    )
 
 
 def description(context: Context, robot: Robot, folder: Path) -> list[str]:

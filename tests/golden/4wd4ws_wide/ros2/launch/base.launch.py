@@ -36,6 +36,7 @@ ARGUMENTS = {
     ),
     "required": ("true", "the launch ends when the base driver or the guard has ended"),
     "urdf": ("robot.urdf", "the robot's description in the folder urdf"),
+    "diagnostics": ("false", "start diagnostic_aggregator, one for all robots of a domain"),
     "rviz": ("false", "start RViz"),
 }
 
@@ -123,6 +124,15 @@ def start(context):
             output="screen",
             parameters=[joints, use_sim_time],
             on_exit=on_exit,
+        ),
+        Node(
+            condition=IfCondition(LaunchConfiguration("diagnostics")),
+            package="diagnostic_aggregator",
+            executable="aggregator_node",
+            name="analyzers",
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[parameters("diagnostics"), use_sim_time],
         ),
         Node(
             condition=IfCondition(LaunchConfiguration("rviz")),
