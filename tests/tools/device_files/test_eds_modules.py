@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import Command
+from tests.cli.conftest import GOOD, Command
 from tests.devices import Bench
 from thorvaldc.model import Bus
 
@@ -104,6 +104,18 @@ def test_a_drive_of_the_file_drives_beside_another_one(thorvaldc: Command) -> No
     run = thorvaldc(*drive.split())
     assert run.status == 0, run.err
     assert re.search(r" 1\.[3-6] 0\.0 m 0 deg", run.out), run.out
+
+
+def test_a_device_without_a_simulation_of_its_own_gets_no_id(thorvaldc: Command) -> None:
+    import_device(thorvaldc, "io/mine", IO)
+    part = "  box: {type: io/mine, mount: {parent: frame, xyz: [0.3, 0, 0.1]}, can: 9}\n"
+    drives = f"library: [modules]\n{GOOD}{part}"
+    Path("rover.yaml").write_text(drives, encoding="utf-8")
+    flash = ["can", "flash", "rover.yaml", "--bus", "virtual:delivered", "--yes", "--apply"]
+    outcome = thorvaldc(*flash)
+    assert outcome.status == 3, outcome.err
+    assert "set the id" in outcome.err
+    assert "the operator declined the step" in outcome.err
 
 
 def test_the_unit_of_the_velocity_must_be_stated(thorvaldc: Command) -> None:

@@ -396,14 +396,18 @@ class VirtualOperator:
     def attach(self, step: AttachStep, words: str) -> bool:
         """Switches the power of only one device on and sets the node id of the device.
 
-        On a real robot, a person sets the node id with a tool of the manufacturer.
+        On a real robot, a person sets the node id with a tool of the manufacturer.  Returns whether
+        the device has its id: one without a simulation of its own keeps its id for ever.
         """
         for device in self.simulated.devices.values():
             device.power_off()
         device = self.simulated.devices[step.node]
         device.power_on()
         self.simulated.run(SETTLING_TIME)
-        device.change_node_id(step.after)
+        try:
+            device.change_node_id(step.after)
+        except ValueError:
+            return False
         self.simulated.run(SETTLING_TIME)
         return True
 
