@@ -339,10 +339,9 @@ def _obstacles(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
             "max_obstacle_height": 2.5,
             "obstacle_max_range": min(FARTHEST_MARK * reach, 20.0),
             "raytrace_max_range": min(reach, 22.0),
-        }
-        if is_scan:
             # A ray without an echo is infinite: it clears the way up to the range of the lidar.
-            values[name]["inf_is_valid"] = True
+            **({"inf_is_valid": True} if is_scan else {}),
+        }
     return values
 
 
