@@ -6,6 +6,6 @@ COMMANDS = (
     CommandEntry(
         "import",
         "import_command:import_file",
-        "Convert a URDF, or a configuration of the original Thorvald system.",
+        "Convert a URDF, or a file of the original Thorvald system.",
     ),
 )

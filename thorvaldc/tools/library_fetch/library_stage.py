@@ -130,7 +130,7 @@ class LibraryStage:
         """Returns the hint with the folder that has modules, such as ``modules/drive/mine``."""
         folders = dict.fromkeys("/".join(path.split("/")[:-3]) for path in sorted(self.modules))
         named = [f"`folder: {folder}`" for folder in folders if folder][:3]
-        return f"write {' or '.join(named)}" if named else None
+        return f"name the folder with the modules: {' or '.join(named)}" if named else None
 
 
 @contextmanager
