@@ -161,7 +161,7 @@ def test_a_broken_lock_file_is_not_replaced(text: str, thorvaldc: Command, vendo
     ("library", "expected"),
     [
         ('{git: "URL", tag: v1.3, folder: modules}', "it has no tag `v1.3`"),
-        ('{git: "URL", tag: v1.2, folder: moduls}', "name the folder with the modules: `folder: modules`"),
+        ('{git: "URL", tag: v1.2, folder: moduls}', "`folder: modules`"),
         ('{git: "URL/nothing", tag: v1.2}', "git fetch failed"),
         ('{git: "URL", tag: main}', "it has no tag `main`"),
         ('{git: "URL", tag: v1..2}', "it has no tag `v1..2`"),
