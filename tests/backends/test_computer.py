@@ -54,6 +54,9 @@ def test_one_bus_needs_no_section(tmp_path: Path) -> None:
     assert service["User"] == "robot"
     assert "--bus socketcan:can_main --name" in service["ExecStart"]
     assert service["ExecStartPre"].startswith("-")  # an error leaves the last build in use
+    assert service["ProtectSystem"] == "strict"  # it writes below its StateDirectory alone
+    assert service["StateDirectory"] == "thorvaldc/good"
+    assert service["RuntimeDirectory"] == "thorvaldc/good"
     assert not any(path.startswith("udev") for path in files)
 
 

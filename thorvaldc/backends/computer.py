@@ -200,6 +200,8 @@ def _service(robot: Robot, computer: Computer) -> str:
         ("NoNewPrivileges", "yes"),
         ("ProtectSystem", "strict"),
         ("ProtectHome", "yes"),
+        # The locks of buses are in no file, and the control channel is below /run.
+        ("PrivateTmp", "yes"),
         ("RestrictSUIDSGID", "yes"),
     ]
     return _sections(
