@@ -210,6 +210,14 @@ def test_the_status_of_a_robot_that_does_not_run(root: Path, thorvaldc: Command)
     assert "`modulse`" in values["errors"][0]
 
 
+def test_the_status_of_a_robot_with_ros(root: Path, thorvaldc: Command) -> None:
+    Path("good.yaml").write_text(GOOD + "computer: {ros: {workspace: /opt/ws}}\n", encoding="utf-8")
+    thorvaldc("install", "good.yaml", "--root", str(root))
+    shown = thorvaldc("status", "--root", str(root))
+    assert "the base driver is a node of ROS 2" in shown.out
+    assert shown.status == 1  # systemd does not say that it runs
+
+
 def test_this_computer_is_not_changed_without_systemd(root: Path, thorvaldc: Command) -> None:
     if Path("/run/systemd/system").is_dir():
         pytest.skip("this computer runs systemd")

@@ -28,6 +28,7 @@ def robot_status(computer: Computer, name: str, *, is_live: bool) -> dict[str, A
     - ``errors``: errors of the robot file.
     - ``service``: properties of the unit as systemd names them, or empty if systemd does not
       answer.
+    - ``ros``: whether the service starts ROS 2, where the base driver has no control channel.
     - ``driver``: result of the service `state` of the base driver, or ``None``.
     - ``driver_error``: why the base driver does not answer.
     """
@@ -39,6 +40,7 @@ def robot_status(computer: Computer, name: str, *, is_live: bool) -> dict[str, A
         "differs": None,
         "errors": [],
         "service": {},
+        "ros": False,
         "driver": None,
         "driver_error": "",
     }
@@ -46,7 +48,9 @@ def robot_status(computer: Computer, name: str, *, is_live: bool) -> dict[str, A
     for unit in units:
         if is_live:
             status["service"] = _service(unit.name)
-        if match := re.search(r" build (\S+) --target", unit.read_text(encoding="utf-8")):
+        text = unit.read_text(encoding="utf-8")
+        status["ros"] = "ros2 launch" in text
+        if match := re.search(r" build (\S+) --target", text):
             compilation = compile_file(unit.parents[2] / "robot" / match[1])
             status["errors"] = [str(d.message) for d in compilation.report.errors]
             built = computer.path(STATE.format(name=name)) / "model.json"
@@ -54,6 +58,9 @@ def robot_status(computer: Computer, name: str, *, is_live: bool) -> dict[str, A
                 if isinstance(compilation.model, Robot):
                     digest = hashlib.sha256(built.read_bytes()).hexdigest()
                     status["differs"] = digest != model_hash(compilation.model)
+    if status["ros"]:
+        status["driver_error"] = "the base driver is a node of ROS 2: see /diagnostics"
+        return status
     status["driver"], status["driver_error"] = _driver(
         str(computer.path(CONTROL.format(name=name)))
     )
@@ -81,8 +88,13 @@ def _driver(channel: str) -> tuple[dict[str, Any] | None, str]:
 
 
 def is_well(status: dict[str, Any]) -> bool:
-    """Returns whether the base driver of a robot runs without a fault, from its robot file."""
+    """Returns whether the base driver of a robot runs without a fault, from its robot file.
+
+    Of a robot with ROS 2, only systemd says whether its launch runs.
+    """
     driver = status["driver"]
+    if status["ros"]:
+        return status["service"].get("ActiveState") == "active"
     return bool(driver and not driver["fault"] and not status["errors"] and not status["differs"])
 
 
