@@ -94,7 +94,7 @@ def is_well(status: dict[str, Any]) -> bool:
     """
     driver = status["driver"]
     if status["ros"]:
-        return status["service"].get("ActiveState") == "active"
+        return bool(status["service"].get("ActiveState") == "active")
     return bool(driver and not driver["fault"] and not status["errors"] and not status["differs"])
 
 
