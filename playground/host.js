@@ -5,7 +5,7 @@ const LIMIT = 10000; // least limit (ms) of one compilation; a worker that needs
 const TIMES_LONGEST = 10; // the limit on a slow computer, in times of the longest compilation
 const PAUSE = 300; // ms without a key until the facts are computed
 const LONGEST_LINK = 30000; // characters
-const TARGETS = ["urdf", "mjcf", "sdf", "ros2", "can", "datasheet"];
+const TARGETS = ["urdf", "mjcf", "sdf", "ros2", "can", "computer", "datasheet"];
 
 let worker = null, limit = null, describing = null, saving = null, requests = 0;
 let isReady = false, isCompiling = false, isBehind = false; // the worker has other files than the page

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jinja2
 import pytest
@@ -15,14 +16,18 @@ from tests.examples import example_fleet, example_robot
 from thorvaldc.backends import templates
 from thorvaldc.backends.ros2 import fleet_package, package_of
 from thorvaldc.backends.templates import Templates
+from thorvaldc.model.settings import RosSettings
 
 
 def test_a_value_that_looks_like_a_placeholder_stays_as_it_is() -> None:
-    values = {"package": "a", "description": "{{ package }} <b>", "depends": [], "more": ""}
+    values: dict[str, Any] = {"package": "a", "depends": []}
+    values["description"] = "{{ package }} <b>"
+    values |= {"settings": RosSettings(), "maintainer": ("Ada", "ada@example.org")}
     text = Templates("ros2", {"quoted": str, "xml": str}).render("package.xml", **values)
     assert "<description>{{ package }} <b></description>" in text
+    del values["description"]
     with pytest.raises(jinja2.UndefinedError, match="description"):
-        Templates("ros2", {"quoted": str, "xml": str}).render("package.xml", package="a")
+        Templates("ros2", {"quoted": str, "xml": str}).render("package.xml", **values)
 
 
 def test_templates_are_compiled_once_and_again_after_a_change(

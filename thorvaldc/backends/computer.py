@@ -11,11 +11,10 @@ the properties of devices are those of udev's builtins `usb_id` and `path_id`.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import PurePosixPath
 
 from thorvaldc.backends import Backend
-from thorvaldc.diagnostics import CODES, Diagnostic
 from thorvaldc.model import Robot
 from thorvaldc.model.robot_computer import CanAdapter, Computer, UsbDevice, interface_name
 
@@ -37,6 +36,14 @@ WATCHDOG = 2.0
 """Time (s) without a control cycle after which systemd ends the base driver.
 
 The watchdogs of the drives stop the robot long before; this one removes a program that hangs.
+"""
+_README = """\
+# The computer of {robot}
+
+Made by thorvaldc. `thorvaldc install ROBOT_FILE`, as root on the robot's computer, puts these files
+into their places, with the robot file, and starts the service: `systemd` into /etc/systemd/system,
+`network` into /etc/systemd/network, `udev` into /etc/udev/rules.d. `--dry-run` lists the changes,
+`thorvaldc uninstall NAME` removes them. A robot without motor controllers has no service.
 """
 _HEAD = "# Made by thorvaldc for {robot}; `thorvaldc install` replaces it.\n"
 
@@ -73,8 +80,9 @@ class ComputerFiles(Backend):
     summary = "services and device names of the robot's computer"
 
     def emit(self, robot: Robot) -> dict[str, bytes]:
+        readme = {"computer/README.md": _README.format(robot=_one_line(robot.name)).encode()}
         if not robot.buses:
-            return {}
+            return readme
         computer = computer_of(robot)
         name = name_on_computer(robot)
         texts = {f"systemd/{service_of(robot)}": _service(robot, computer)}
@@ -96,16 +104,12 @@ class ComputerFiles(Backend):
         rules = list(_rules(computer))
         if rules:
             texts[f"udev/70-{name}.rules"] = "".join(f"{rule}\n" for rule in rules)
-        head = _HEAD.format(robot=" ".join(robot.name.split()))
-        return {f"computer/{path}": (head + text).encode() for path, text in texts.items()}
+        head = _HEAD.format(robot=_one_line(robot.name))
+        return readme | {f"computer/{path}": (head + text).encode() for path, text in texts.items()}
 
-    def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
-        if not robot.buses:
-            yield Diagnostic(
-                CODES["robot-without-controller"],
-                "no service can drive a robot without motor controllers",
-                robot.span,
-            )
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
 
 
 def _sections(*sections: tuple[str, list[tuple[str, object]]]) -> str:
@@ -208,7 +212,7 @@ def _service(robot: Robot, computer: Computer) -> str:
         (
             "Unit",
             [
-                ("Description", f"Base driver of {' '.join(robot.name.split())} (thorvaldc)"),
+                ("Description", f"Base driver of {_one_line(robot.name)} (thorvaldc)"),
                 ("Wants", devices),
                 ("After", f"systemd-networkd.service time-sync.target {devices}".strip()),
                 # Five starts within a minute, then a person looks for the cause.

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.simulation.sensors.rover import SENSORS, simulation
-from thorvaldc.backends.mjcf_terrain import heights
+from thorvaldc.backends.mjcf_terrain import relief_of
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model.scenario import SensorSettings
 from thorvaldc.runtime.se2 import Pose2
@@ -104,7 +104,9 @@ def test_points_of_rough_ground_lie_on_its_triangles(tmp_path: Path) -> None:
     )
     run = simulation(tmp_path, world, SENSORS + CLOUD)
     ground = run.scenario.fleet.world.ground
-    grid = np.array(heights(ground, [p.pose for p in run.scenario.fleet.placements]), np.float32)
+    grid = np.array(
+        relief_of(ground, [p.pose for p in run.scenario.fleet.placements]).rows, np.float32
+    )
     z_of = (grid - grid.min()) / (grid.max() - grid.min()) * 2.0 * 0.06 - 0.06
     origin, directions, distances = rays(run.sensors, "rover/tower")
     reached = np.isfinite(distances)
