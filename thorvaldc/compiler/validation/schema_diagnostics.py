@@ -187,8 +187,8 @@ class _Explanation:
     def _other_entry(self, entry: Node, meant: str, schema: dict[str, Any]) -> str:
         """Returns the hint for an unknown key whose value does not fit the key that was meant."""
         example, start, value = _example(schema), entry.where, entry.span
-        if example is None or not isinstance(entry.value, str | bool):
-            return f"`{meant}` was probably meant, which takes another value"
+        if example not in ("true", "false") or not isinstance(entry.value, str | bool):
+            return f"did you mean `{meant}`?"
         span = Span(start.file, start.line, start.column, value.end_line, value.end_column)
         entry_text = f"{meant}: {example}"
         return Proposal(f"write `{entry_text}`", entry_text, span=span, is_example=True)
@@ -319,7 +319,8 @@ class _Explanation:
         value = self.node.value
         if self.schema.get("type") == "array" or "array" in self.schema.get("type", ()):
             elements = _elements(value)
-            texts = self.schema.get("items", {}).get("type") == "string"
+            kinds = self.schema.get("items", {}).get("type", ())
+            texts = kinds == "string" or ("string" in kinds and "number" not in kinds)
             if elements is None and texts and isinstance(value, str):
                 elements = f"[{yaml_text(value)}]"
             if elements is not None:
