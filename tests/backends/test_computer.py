@@ -19,9 +19,9 @@ for _name, _bus in (("fl", "left"), ("fr", "right"), ("rl", "left"), ("rr", "rig
 TWO_BUSES = TWO_BUSES.replace("0.07]}, can: 1}", "0.07]}, can: {bus: left, id: 7}}")
 
 
-def files_of(folder: Path, text: str) -> tuple[dict[str, str], list[str]]:
+def files_of(folder: Path, text: str, name: str = "good.yaml") -> tuple[dict[str, str], list[str]]:
     """Returns the files of the target, and the diagnostics of the robot and of the target."""
-    path = folder / "good.yaml"
+    path = folder / name
     path.write_text(text, encoding="utf-8")
     compilation = compile_file(path)
     assert isinstance(compilation.model, Robot), [d.message for d in compilation.report]
@@ -111,3 +111,15 @@ def test_ros_starts_the_launch_file_of_the_package(tmp_path: Path) -> None:
     ) in unit
     assert "Environment=ROS_DOMAIN_ID=7\n" in unit
     assert "Environment=RMW_IMPLEMENTATION=rmw_zenoh_cpp\n" in unit
+
+
+def test_the_name_of_the_file_is_one_argument(tmp_path: Path) -> None:
+    files, _ = files_of(tmp_path, GOOD, "my %robot $1.yaml")
+    assert ' build "my %%robot $$1.yaml" --target can' in files["systemd/thorvaldc-good.service"]
+
+
+def test_a_port_without_a_device_is_an_error(tmp_path: Path) -> None:
+    """A rule without a device would rename all serial ports, and change their group."""
+    path = tmp_path / "good.yaml"
+    path.write_text(GOOD + "computer: {ports: {lidar: {}}}\n", encoding="utf-8")
+    assert "wrong-length" in [d.code.name for d in compile_file(path).report.errors]

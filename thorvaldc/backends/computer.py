@@ -16,7 +16,7 @@ from pathlib import PurePosixPath
 
 from thorvaldc.backends import Backend
 from thorvaldc.model import Robot
-from thorvaldc.model.robot_computer import CanAdapter, Computer, UsbDevice, interface_name
+from thorvaldc.model.robot_computer import Computer, UsbDevice
 
 FOLDER = "/etc/thorvaldc/{name}/current"
 """Where the files of the robot ``name`` are on its computer."""
@@ -58,12 +58,6 @@ def service_of(robot: Robot) -> str:
     return f"thorvaldc-{name_on_computer(robot)}.service"
 
 
-def computer_of(robot: Robot) -> Computer:
-    """Return the computer of a robot: that of the robot file, or one with the defaults."""
-    adapters = (CanAdapter(bus.name, interface_name(bus.name)) for bus in robot.buses)
-    return robot.computer or Computer(adapters=tuple(adapters))
-
-
 def bus_option(computer: Computer) -> str:
     """Return the value of the option ``--bus`` for the CAN interfaces of a computer."""
     several = len(computer.adapters) > 1
@@ -81,9 +75,9 @@ class ComputerFiles(Backend):
 
     def emit(self, robot: Robot) -> dict[str, bytes]:
         readme = {"computer/README.md": _README.format(robot=_one_line(robot.name)).encode()}
-        if not robot.buses:
+        computer = robot.computer
+        if computer is None or not robot.buses:
             return readme
-        computer = computer_of(robot)
         name = name_on_computer(robot)
         texts = {f"systemd/{service_of(robot)}": _service(robot, computer)}
         bitrates = {bus.name: bus.bitrate for bus in robot.buses}
@@ -110,6 +104,18 @@ class ComputerFiles(Backend):
 
 def _one_line(text: str) -> str:
     return " ".join(text.split())
+
+
+def _argument(text: str) -> str:
+    """Return a text as one argument of a command line of systemd.service(5)."""
+    for character, escaped in (("\\", "\\\\"), ('"', '\\"'), ("%", "%%"), ("$", "$$")):
+        text = text.replace(character, escaped)
+    return f'"{text}"'
+
+
+def starts_ros(unit: str) -> bool:
+    """Return whether a unit starts ROS 2, whose base driver has no control channel."""
+    return "exec ros2 launch" in unit
 
 
 def _sections(*sections: tuple[str, list[tuple[str, object]]]) -> str:
@@ -151,7 +157,7 @@ def _service(robot: Robot, computer: Computer) -> str:
     """
     name = name_on_computer(robot)
     state, folder = STATE.format(name=name), FOLDER.format(name=name)
-    file = PurePosixPath(robot.span.file).name
+    file = _argument(PurePosixPath(robot.span.file).name)
     # Devices of network interfaces, with the escapes of systemd.unit(5).
     devices = " ".join(
         f"sys-subsystem-net-devices-{adapter.interface.replace('-', chr(92) + 'x2d')}.device"

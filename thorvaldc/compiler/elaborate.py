@@ -21,6 +21,7 @@ from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.modules.module_tree import Instance, used_by
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.robot_settings import driver_settings, robot_sections
+from thorvaldc.compiler.robot_settings.computer_section import read_computer
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import read_section
 from thorvaldc.compiler.values.value_reader import items
@@ -34,7 +35,6 @@ from thorvaldc.model.stopping import driven_wheels
 
 if TYPE_CHECKING:
     from thorvaldc.compiler.robot_settings.wheel_calibration import Calibration
-    from thorvaldc.model.robot_computer import Computer
 
 
 def elaborate(
@@ -199,12 +199,9 @@ class _Elaborator(NamedTuple):
         name = scope.text(document.get("name"))
         ros_section = read_section(document, "robot", "ros", scope)
         ros = robot_sections.read_ros_settings(ros_section, name, self.report)
-        computer: Computer | None = None
-        if document.get("computer") is not None:
-            from thorvaldc.compiler.robot_settings.computer_section import read_computer
-
-            computer_section = read_section(document, "robot", "computer", scope)
-            computer = read_computer(computer_section, buses, self.report)
+        computer_section = read_section(document, "robot", "computer", scope)
+        is_stated = document.get("computer") is not None
+        computer = read_computer(computer_section, buses, self.report, is_stated=is_stated)
         purchases: Mapping[str, Purchase] = {}
         if document.get("purchase") is not None:
             from thorvaldc.compiler.hardware.purchase_reader import read_purchases

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 LONGEST_INTERFACE = 15
 """Longest name of a network interface of Linux (IFNAMSIZ - 1)."""
-USER, PROGRAM = "robot", "/opt/thorvaldc-env/bin/thorvaldc"
 
 
 def interface_name(bus: str) -> str:
@@ -67,8 +66,8 @@ class Computer:
     - ``ros``: how ROS 2 is started, or ``None`` if the runtime is started without ROS 2.
     """
 
-    user: str = USER
-    program: str = PROGRAM
+    user: str
+    program: str
     adapters: tuple[CanAdapter, ...] = ()
     ports: tuple[tuple[str, UsbDevice], ...] = ()
     joystick: UsbDevice | None = None

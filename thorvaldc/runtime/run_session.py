@@ -136,6 +136,7 @@ class RunSession:
             try:
                 self.driven.run(watch=after_cycle, stop=self._is_over)
                 diagnostic = self._verdict()
+                notifier.close()  # no cycle follows while the robot stops, which may take longer
                 self.driven.shutdown()
             except BaseException:
                 # After an exception, no CAN frame is sent, so the motor controllers stop by their

@@ -17,13 +17,15 @@ from thorvaldc.model.robot_computer import (
 )
 
 
-def read_computer(section: Section, buses: Sequence[Bus], report: Report) -> Computer:
-    """Returns the computer of a robot with a section ``computer``.
+def read_computer(
+    section: Section, buses: Sequence[Bus], report: Report, *, is_stated: bool
+) -> Computer:
+    """Returns the computer of a robot, as the section ``computer`` and its defaults describe it.
 
     Each bus gets an adapter.  Reports adapters of unknown buses, devices and names that occur
-    twice, and buses whose adapter nothing proves.
+    twice, and, if the document states the section, buses whose adapter it does not distinguish.
     """
-    adapters = _adapters(section, buses, report)
+    adapters = _adapters(section, buses, report, warns=is_stated)
     ports = tuple((name, _device(entry)) for name, entry in section["ports"].items())
     joystick = _device(section["joystick"]) if "joystick" in section else None
     _check_devices(section, report)
@@ -42,7 +44,9 @@ def _device(entry: Section) -> UsbDevice:
     return UsbDevice(entry["serial"], entry["path"])
 
 
-def _adapters(section: Section, buses: Sequence[Bus], report: Report) -> tuple[CanAdapter, ...]:
+def _adapters(
+    section: Section, buses: Sequence[Bus], report: Report, *, warns: bool
+) -> tuple[CanAdapter, ...]:
     stated = dict(section["can"].items())
     names = [bus.name for bus in buses]
     for name, entry in stated.items():
@@ -64,12 +68,12 @@ def _adapters(section: Section, buses: Sequence[Bus], report: Report) -> tuple[C
         if first is not node.where:
             _report_twice(f"the interface name `{interface}`", first, node.where, report)
         adapters.append(CanAdapter(bus.name, interface, device))
-        if len(buses) > 1 and device == UsbDevice():
-            _report_unproven(bus.name, section, entry, report)
+        if warns and len(buses) > 1 and device == UsbDevice():
+            _report_unknown(bus.name, section, entry, report)
     return tuple(adapters)
 
 
-def _report_unproven(bus: str, section: Section, entry: Section | None, report: Report) -> None:
+def _report_unknown(bus: str, section: Section, entry: Section | None, report: Report) -> None:
     """Warns of one of several buses whose adapter the file does not distinguish."""
     hint = f"state the `serial` or the `path` of the adapter: `can: {{{bus}: {{serial: ...}}}}`"
     if entry is not None:

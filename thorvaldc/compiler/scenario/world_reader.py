@@ -44,10 +44,8 @@ def read_world(world: Section, folder: Path, files: dict[str, Path], report: Rep
     ground = model.Ground()
     if "ground" in world:
         ground = _ground(world["ground"], folder, files, report)
-    zones, blocks = (
-        tuple(read_zones(world["zones"], report)),
-        ObstacleReader(world, report).blocks(),
-    )
+    zones = tuple(read_zones(world["zones"], report))
+    blocks = ObstacleReader(world, report).blocks()
     if ground.heights is None:
         return model.World(ground, blocks, zones)
     for key in ("zones", "kerbs", "rails"):

@@ -18,9 +18,11 @@ from thorvaldc.cli.diagnostic_output import message, print_json
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError, write_errors
 from thorvaldc.cli.robot_file import load_robot
 from thorvaldc.diagnostics import did_you_mean
+from thorvaldc.model.settings import AT_START, AUTOMATIC
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
+    from thorvaldc.tools.computer.installed_versions import Computer
 
 Root = Annotated[
     str,
@@ -34,17 +36,12 @@ Root = Annotated[
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the changes and make none.")]
 
 
-def install(
-    file: options.RobotFile,
-    root: Root = "",
-    dry_run: DryRun = False,
-    library: options.Library = [],  # noqa: B006
-    trust: options.Trust = False,
-) -> int:
-    from thorvaldc.backends.computer import CONTROL, name_on_computer, service_of
+def install(file: options.RobotFile, root: Root = "", dry_run: DryRun = False) -> int:
+    from thorvaldc.backends.computer import service_of
     from thorvaldc.tools.computer.installed_versions import Computer, version_of
 
-    loaded = load_robot(file, library, trust)
+    # The service builds the file without options, and root runs no program of others (`--trust`).
+    loaded = load_robot(file, [], False)
     robot, computer = loaded.robot, Computer(_root(root))
     version = version_of(robot, Path(file), loaded.sources, computer.root)
     plan = computer.plan(version)
@@ -54,18 +51,25 @@ def install(
     current = computer.current(version.name)
     for name in computer.edited(current) if current is not None else ():
         message(f"note: {name} was edited on this computer; it stays in {current}")
+    if robot.driver.homing == AT_START:
+        message("warning: the steering turns whenever the service starts (`homing: at_start`)")
+    if robot.driver.arming == AUTOMATIC:
+        message("warning: the robot arms itself after each start (`arming: automatic`)")
     print("\n".join(plan))
     if dry_run:
         return DONE
     if not root:
         _check_computer(robot)
-        _check_disarmed(CONTROL.format(name=name_on_computer(robot)))
+        _check_at_rest(computer, version.name)
     with write_errors(computer.folder(version.name)):
         computer.install(version)
     if not root:
         service = service_of(robot)
         _reload(["systemctl", "restart", service])
-        message(f"journalctl -u {service} shows what it does; it is disarmed")
+        message(
+            f"journalctl -u {service} shows what it does; an interface that was in use gets its new"
+            " name at the next boot"
+        )
     return DONE
 
 
@@ -76,7 +80,7 @@ def uninstall(
     root: Root = "",
     dry_run: DryRun = False,
 ) -> int:
-    from thorvaldc.backends.computer import CONTROL, FOLDER, STATE
+    from thorvaldc.backends.computer import FOLDER, STATE
     from thorvaldc.tools.computer.installed_versions import Computer, installed_names
 
     computer = Computer(_root(root))
@@ -87,9 +91,8 @@ def uninstall(
     if dry_run:
         return DONE
     if not root:
-        _check_disarmed(CONTROL.format(name=name))
-        units = [Path(path).name for path in links if path.endswith(".service")]
-        _run(["systemctl", "stop", *dict.fromkeys(units)])
+        _check_at_rest(computer, name)
+        _run(["systemctl", "stop", *computer.units(name)])
     with write_errors(computer.folder(name)):
         computer.uninstall(name)
     if not root:
@@ -136,9 +139,9 @@ def _root(root: str) -> Path:
 
 def _check_computer(robot: Robot) -> None:
     """Raises ``OutsideError`` if the services could not start on this computer."""
-    from thorvaldc.backends.computer import computer_of
-
-    computer = computer_of(robot)
+    computer = robot.computer
+    if computer is None:
+        raise OutsideError("this model has no `computer`: name the robot file")
     if sys.platform != "linux" or not Path("/run/systemd/system").is_dir():
         raise OutsideError("this computer does not run systemd; --root installs to an image")
     if os.geteuid() != 0:
@@ -157,10 +160,15 @@ def _check_computer(robot: Robot) -> None:
         ) from None
 
 
-def _check_disarmed(channel: str) -> None:
-    """Raises ``OutsideError`` if the base driver of the robot runs and is armed."""
+def _check_at_rest(computer: Computer, name: str) -> None:
+    """Raises ``OutsideError`` if the robot is armed, or if nobody knows because ROS 2 runs."""
+    from thorvaldc.backends.computer import CONTROL, starts_ros
     from thorvaldc.runtime.control_channel import ControlClient
 
+    for unit, text in computer.units(name).items():
+        if starts_ros(text) and _run(["systemctl", "is-active", "--quiet", unit], warns=False):
+            raise OutsideError(f"the robot may be armed: systemctl stop {unit}")
+    channel = CONTROL.format(name=name)
     try:
         client = ControlClient(channel)
     except OSError:
@@ -175,15 +183,21 @@ def _reload(*last: Sequence[str]) -> None:
     for command in (
         ["systemctl", "daemon-reload"],
         ["udevadm", "control", "--reload"],
-        ["udevadm", "trigger"],
+        # With `add`, interfaces that are down get their names, too.
+        ["udevadm", "trigger", "--action=add", "--subsystem-match=net"],
+        ["udevadm", "trigger", "--subsystem-match=tty", "--subsystem-match=input"],
         ["networkctl", "reload"],
         *last,
     ):
         _run(command)
 
 
-def _run(command: Sequence[str]) -> None:
+def _run(command: Sequence[str], *, warns: bool = True) -> bool:
+    """Runs a command, and returns whether it succeeded."""
     try:
         subprocess.run(command, check=True, timeout=120.0)
     except (OSError, subprocess.SubprocessError) as error:
-        message(f"warning: {error}")
+        if warns:
+            message(f"warning: {error}")
+        return False
+    return True

@@ -26,6 +26,7 @@ from thorvaldc.backends.can.canmap import canmap_text
 from thorvaldc.backends.computer import FOLDER, PLACES, STATE, name_on_computer
 from thorvaldc.compiler.modules.fetched_library import cache_folder
 from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.compiler.source.readable_folders import is_below
 from thorvaldc.diagnostics import OutsideError, Report
 from thorvaldc.diagnostics.files import read_json, write_file
 from thorvaldc.model import Robot
@@ -45,7 +46,8 @@ def files_of(
     """Returns the folder that contains a robot file with all that it names, and its files.
 
     The folder is that of the robot file, or the nearest one above it with the libraries and
-    designs that the robot file names.  Hidden files and builds are left out.
+    designs that the robot file names.  Hidden files, builds, and links that lead out of the folder
+    are left out: root can read what the owner of the files cannot, and everybody can read the copy.
 
     - ``sources``: source files by the names in diagnostics; those of the built-in library begin
       with `<`.
@@ -65,7 +67,7 @@ def files_of(
         folders[:] = sorted(name for name in folders if name[0] != "." and name != "__pycache__")
         for name in sorted(names):
             file = Path(folder) / name
-            if name[0] == "." or not file.is_file():
+            if name[0] == "." or not file.is_file() or not is_below(file, [str(root)]):
                 continue
             size += file.stat().st_size
             files[file.relative_to(root).as_posix()] = file
@@ -161,6 +163,12 @@ class Computer:
         """Returns the folder of the installed version of a robot, or ``None`` if there is none."""
         link = self.folder(name) / "current"
         return link.parent / os.readlink(link) if link.is_symlink() else None
+
+    def units(self, name: str) -> dict[str, str]:
+        """Returns the texts of the units of the installed version by their names."""
+        current = self.current(name)
+        paths = sorted(current.glob("computer/systemd/*.service")) if current is not None else ()
+        return {path.name: path.read_text(encoding="utf-8") for path in paths}
 
     def edited(self, version: Path) -> list[str]:
         """Returns the files of an installed version that were changed or added on the computer."""

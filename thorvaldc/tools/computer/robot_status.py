@@ -6,10 +6,9 @@ import contextlib
 import hashlib
 import re
 import subprocess
-from pathlib import Path
 from typing import Any
 
-from thorvaldc.backends.computer import CONTROL, STATE
+from thorvaldc.backends.computer import CONTROL, STATE, starts_ros
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import model_hash
@@ -44,17 +43,16 @@ def robot_status(computer: Computer, name: str, *, is_live: bool) -> dict[str, A
         "driver": None,
         "driver_error": "",
     }
-    units = list((current or Path()).glob("computer/systemd/*.service")) if current else []
-    for unit in units:
+    for unit, text in computer.units(name).items():
         if is_live:
-            status["service"] = _service(unit.name)
-        text = unit.read_text(encoding="utf-8")
-        status["ros"] = "ros2 launch" in text
-        if match := re.search(r" build (\S+) --target", text):
-            compilation = compile_file(unit.parents[2] / "robot" / match[1])
+            status["service"] = _service(unit)
+        status["ros"] = starts_ros(text)
+        match = re.search(r' build "(.+)" --target', text)
+        if match and current is not None:
+            compilation = compile_file(current / "robot" / match[1])
             status["errors"] = [str(d.message) for d in compilation.report.errors]
             built = computer.path(STATE.format(name=name)) / "model.json"
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError):  # no service has built it yet
                 if isinstance(compilation.model, Robot):
                     digest = hashlib.sha256(built.read_bytes()).hexdigest()
                     status["differs"] = digest != model_hash(compilation.model)
