@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from tests.backend_files import dbc_of, files_of
+from tests.backend_files import dbc_message, dbc_of, files_of
 from tests.buses import GEAR, LIMIT, MAX_SPEED, PPR, STEERING_GEAR, robot_with_bus
 from tests.examples import SAMPLED_ROBOTS
 from tests.robots import FOUR_STEERED, SPAN, make_robot
@@ -290,12 +290,16 @@ def test_examples(path: Path) -> None:
         data = bytes((37 * frame.cob_id + 101 * i) % 251 for i in range(frame.length))
         if any(signal.multiplexer for signal in frame.signals):
             data = data[:3] + b"\x02" + data[4:]
-        read = databases[bus.name].decode_message(frame.cob_id, data, decode_choices=False)
-        word = int.from_bytes(data, "little")
+        read = dbc_message(databases[bus.name], frame).decode(data, decode_choices=False)
         shown = [s for s in frame.signals if not s.selected_by or 2 in s.selected_by]
         assert list(read) == [s.name for s in sorted(shown, key=lambda s: s.start)]
         for signal in shown:
-            raw: float = word >> signal.start & ((1 << signal.length) - 1)
+            # A big-endian number has its bits from the most significant one on, byte by byte.
+            low = signal.start
+            if signal.big_endian:
+                low = 8 * frame.length - (signal.start ^ 7) - signal.length
+            word = int.from_bytes(data, "big" if signal.big_endian else "little")
+            raw: float = word >> low & ((1 << signal.length) - 1)
             if signal.floating_point:
                 (raw,) = struct.unpack_from("<f", data, signal.start // 8)
             elif signal.signed and raw >= 1 << (signal.length - 1):

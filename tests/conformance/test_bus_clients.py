@@ -11,7 +11,7 @@ import canopen
 import cantools
 import pytest
 
-from tests.backend_files import dbc_of, files_of
+from tests.backend_files import dbc_message, dbc_of, files_of
 from tests.examples import SAMPLED_ROBOTS, example_robot
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import cia402_robot, uneven_robot
@@ -105,7 +105,7 @@ def test_our_codec_and_cantools_agree(robot: Robot, files: dict[str, bytes]) -> 
     frames = [(bus.name, frame) for bus in robot.buses for frame in bus.frames if frame.signals]
     for bus_name, frame in frames:
         codec = FrameCodec(frame)
-        message = databases[bus_name].get_message_by_frame_id(frame.cob_id)
+        message = dbc_message(databases[bus_name], frame)
         for _ in range(5):
             data = draw.randbytes(frame.length)
             chooser = next((s for s in frame.signals if s.multiplexer), None)

@@ -11,6 +11,7 @@ from dataclasses import replace
 import cantools.database
 import pytest
 
+from tests.backend_files import dbc_message
 from tests.robots import SPAN
 from tests.runtime.can_base.test_can_base import four_wheels
 from tests.simulation.bus.robots import drives, uneven_robot
@@ -35,7 +36,7 @@ def test_values_agree_with_cantools(make: Callable[[], Robot]) -> None:
         if not frame.signals:
             continue
         codec = FrameCodec(frame)
-        message = database.get_message_by_frame_id(frame.cob_id)
+        message = dbc_message(database, frame)
         for _ in range(20):
             data = numbers.randbytes(frame.length)
             try:

@@ -50,8 +50,9 @@ class Bus:
 @pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_the_traffic_matches_the_can_map(name: str) -> None:
     bus = Bus(example_robot(name))
-    bus.master.nmt(1)
     frames = {frame.cob_id: frame for frame in bus.robot.buses[0].frames}
+    if 0x000 in frames:  # a robot without CANopen has no NMT
+        bus.master.nmt(1)
     for _ in range(160):
         if 0x080 in frames:  # drives after CiA 402 send their synchronous PDOs after SYNC
             bus.master.send(0x080, b"")
