@@ -65,6 +65,7 @@ TOOLS = (
     ),
     _program("bash", "bash"),  # completes commands
     _program("systemd-analyze", "systemd"),  # reads the generated units
+    _program("systemd-nspawn", "systemd-container"),  # starts the installed service
     _program("shellcheck", "shellcheck"),  # reads the generated shell script
     _program("chromium", "chromium", "google-chrome"),  # opens the generated web page
     _program("npm", "npm nodejs"),  # builds the viewer; installs axe-core

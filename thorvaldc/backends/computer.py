@@ -169,7 +169,6 @@ def _service(robot: Robot, computer: Computer) -> str:
     )
     entries: list[tuple[str, object]] = [
         ("User", computer.user),
-        ("SupplementaryGroups", "dialout input"),
         ("WorkingDirectory", f"{folder}/robot"),
         ("StateDirectory", state.removeprefix("/var/lib/")),
         ("RuntimeDirectory", f"thorvaldc/{name}"),

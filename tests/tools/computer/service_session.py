@@ -1,0 +1,169 @@
+"""Installs a robot on a computer with systemd, and ends its base driver in several ways.
+
+Runs in the container of ``test_running_service.py``, as a service of systemd, and writes what
+happens to the file that the first argument names, as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from tests.cli.conftest import GOOD
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.model import Robot
+from thorvaldc.runtime.control_channel import ControlClient, ServiceError
+from thorvaldc.simulation.bus.bus_server import serving
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+
+PROGRAM = "/opt/thorvaldc-env/bin/thorvaldc"
+UNIT = "thorvaldc-good.service"
+FILE = Path("/etc/thorvaldc/good/current/robot/good.yaml")
+BUS = "/run/can.sock"
+SPEED = 0.5
+"""Commanded speed (m/s)."""
+PATIENCE = 60.0
+"""Longest time (s) for what a computer under load may do slowly."""
+
+
+class Wheels:
+    """The speed of the fastest simulated motor, measured every 10 ms of simulated time."""
+
+    def __init__(self, simulated: SimulatedRobot) -> None:
+        self._simulated = simulated
+        self.speed = 0.0
+        self.moved = False
+        self._measure()
+
+    def _measure(self) -> None:
+        now = self._simulated.timeline.seconds
+        motors = self._simulated.motors.values()
+        self.speed = max(abs(motor.read(now).velocity) for motor in motors)
+        self.moved = self.moved or self.speed > 1e-6
+        self._simulated.timeline.after(10_000_000, self._measure)
+
+
+def until(what: str, reached: Callable[[], Any]) -> Any:
+    """Returns the first true value of a function; its errors mean that it is not reached yet."""
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        try:
+            if value := reached():
+                return value
+        except (OSError, ServiceError):
+            pass
+        time.sleep(0.02)
+    raise AssertionError(f"after {PATIENCE:g} s still not: {what}")
+
+
+def shown(key: str) -> str:
+    command = ["systemctl", "show", UNIT, "--value", f"--property={key}"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def run(*command: str) -> tuple[int, str]:
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    return ran.returncode, ran.stdout + ran.stderr
+
+
+def state() -> dict[str, Any]:
+    client = ControlClient("/run/thorvaldc/good/control")
+    try:
+        answer: dict[str, Any] = client.call("state")
+        return answer
+    finally:
+        client.close()
+
+
+def drive(wheels: Wheels) -> None:
+    """Arms the robot and drives it until its wheels turn."""
+    client = ControlClient("/run/thorvaldc/good/control")
+    try:
+        until("arming", lambda: client.call("arm") is not False)
+        until("armed", lambda: client.call("state")["armed"])
+        client.call("twist", source="teleop_joy", vx=0.0)
+
+        def turn() -> bool:
+            client.call("twist", source="teleop_joy", vx=SPEED)
+            return wheels.speed > 2.0
+
+        until("wheels that turn", turn)
+    finally:
+        client.close()
+
+
+def driver() -> int:
+    """Waits for a base driver that answers, and returns its process."""
+    until("a base driver", state)
+    return int(shown("MainPID"))
+
+
+def session(record: dict[str, Any]) -> None:
+    os.chdir("/root")
+    Path("good.yaml").write_text(GOOD, encoding="utf-8")
+    robot = compile_file(Path("good.yaml")).model
+    assert isinstance(robot, Robot)
+    subprocess.run(["useradd", "--system", "--user-group", "robot"], check=True)
+    simulated = SimulatedRobot(robot)
+    simulated.power_on()
+    wheels = Wheels(simulated)
+    with serving(simulated.timeline, {BUS: simulated.wire()}):
+        os.chmod(BUS, 0o666)
+        record["install"] = run(PROGRAM, "install", "good.yaml")
+        process = driver()
+        record["started"] = {**state(), "moved": wheels.moved}
+        record["process"] = run("ps", "-o", "user=,cls=,rtprio=", "-p", str(process))
+        record["status"] = run(PROGRAM, "status")
+        good = FILE.read_text(encoding="utf-8")
+        FILE.write_text(good.replace("modules:", "modulse:", 1), encoding="utf-8")
+        record["restart"] = run("systemctl", "restart", UNIT)
+        process = driver()  # the last build
+        record["errors"] = run("journalctl", "--unit", UNIT, "--output", "cat", "--no-pager")
+        FILE.write_text(good, encoding="utf-8")
+        record["ends"] = []
+        for how in (signal.SIGKILL, signal.SIGKILL, signal.SIGSTOP, signal.SIGKILL, signal.SIGKILL):
+            drive(wheels)
+            run("systemctl", "reset-failed", UNIT)  # the limit of starts comes later
+            os.kill(process, how)
+            killed = time.monotonic()
+            until("wheels at rest", lambda: wheels.speed < 1e-6)
+            entry: dict[str, Any] = {"how": how.name, "rest": time.monotonic() - killed}
+            record["ends"].append(entry)
+            old = process
+            until("another process", lambda old=old: shown("MainPID") not in ("0", str(old)))
+            wheels.moved = False
+            process = driver()
+            entry.update(armed=state()["armed"], moved=wheels.moved)
+
+        def failed() -> bool:
+            if (process := int(shown("MainPID"))) != 0:
+                os.kill(process, signal.SIGKILL)
+            return shown("ActiveState") == "failed"
+
+        until("the end of restarts", failed)
+        record["at_last"] = {"result": shown("Result"), "speed": wheels.speed}
+        record["failed"] = run(PROGRAM, "status")
+        record["uninstall"] = run(PROGRAM, "uninstall", "good")
+        record["left"] = [str(path) for path in Path("/etc").rglob("*good*")]
+
+
+def main() -> None:
+    record: dict[str, Any] = {}
+    try:
+        session(record)
+    except BaseException:
+        record["error"] = traceback.format_exc()
+        record["journal"] = run("journalctl", "--unit", UNIT, "--no-pager", "--lines", "60")
+    Path(sys.argv[1]).write_text(json.dumps(record), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
