@@ -111,6 +111,31 @@ def test_ros_starts_the_launch_file_of_the_package(tmp_path: Path) -> None:
     ) in unit
     assert "Environment=ROS_DOMAIN_ID=7\n" in unit
     assert "Environment=RMW_IMPLEMENTATION=rmw_zenoh_cpp\n" in unit
+    assert "Environment=ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET\n" in unit
+    assert "ROS_STATIC_PEERS" not in unit
+    # A service that restarts for months does not fill the disk.
+    assert "/var/lib/thorvaldc/good/log - - - 14d\n" in files["tmpfiles/50-good.conf"]
+
+
+def test_discovery_and_time(tmp_path: Path) -> None:
+    section = (
+        "computer: {time_servers: [10.0.0.1, ntp.farm.example], ros: {workspace: /opt/ws,"
+        " discovery: localhost, peers: [10.0.0.20, laptop.local]}}\n"
+    )
+    files, _ = files_of(tmp_path, GOOD + section)
+    unit = files["systemd/thorvaldc-good.service"]
+    assert "Environment=ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST\n" in unit
+    assert "Environment=ROS_STATIC_PEERS=10.0.0.20;laptop.local\n" in unit
+    time = sections(files["time/50-good.conf"])["Time"]
+    assert time["NTP"] == "10.0.0.1 ntp.farm.example"
+
+
+def test_a_peer_that_is_no_address_is_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "good.yaml"
+    section = "computer: {ros: {workspace: /opt/ws, peers: ['a b; rm']}}\n"
+    path.write_text(GOOD + section, encoding="utf-8")
+    (error,) = compile_file(path).report.errors
+    assert (error.code.name, error.span.line) == ("unknown-value", GOOD.count("\n") + 1)
 
 
 def test_the_name_of_the_file_is_one_argument(tmp_path: Path) -> None:

@@ -5,7 +5,8 @@ and starts the base driver, alone or with ROS 2.  ``thorvaldc install`` puts the
 places; the robot file and the files that it names are beside them, in ``FOLDER``.
 
 Sources: systemd.link(5), systemd.network(5), systemd.service(5), systemd.exec(5) of systemd 249;
-the properties of devices are those of udev's builtins `usb_id` and `path_id`.
+the properties of devices are those of udev's builtins `usb_id` and `path_id`; timesyncd.conf(5);
+tmpfiles.d(5); the variables of the discovery of ROS 2 are those of rmw_dds_common since Iron.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ PLACES = {
     "systemd": "/etc/systemd/system",
     "network": "/etc/systemd/network",
     "udev": "/etc/udev/rules.d",
+    "time": "/etc/systemd/timesyncd.conf.d",
+    "tmpfiles": "/etc/tmpfiles.d",
 }
 """Folders of the computer by the folders of this target."""
 QUEUE_LENGTH = 128
@@ -37,12 +40,15 @@ WATCHDOG = 2.0
 
 The watchdogs of the drives stop the robot long before; this one removes a program that hangs.
 """
+LOG_AGE = "14d"
+"""Age at which log files of ROS 2 are removed; the journal has limits of its own."""
 _README = """\
 # The computer of {robot}
 
 Made by thorvaldc. `thorvaldc install ROBOT_FILE`, as root on the robot's computer, puts these files
 into their places, with the robot file, and starts the service: `systemd` into /etc/systemd/system,
-`network` into /etc/systemd/network, `udev` into /etc/udev/rules.d. `--dry-run` lists the changes,
+`network` into /etc/systemd/network, `udev` into /etc/udev/rules.d, `time` into
+/etc/systemd/timesyncd.conf.d, `tmpfiles` into /etc/tmpfiles.d. `--dry-run` lists the changes,
 `thorvaldc uninstall NAME` removes them. A robot without motor controllers has no service.
 """
 _HEAD = "# Made by thorvaldc for {robot}; `thorvaldc install` replaces it.\n"
@@ -95,6 +101,11 @@ class ComputerFiles(Backend):
                 ("Link", [("RequiredForOnline", "no")]),
                 ("CAN", [("BitRate", bitrates[adapter.bus])]),
             )
+        if computer.time_servers:
+            servers = " ".join(computer.time_servers)
+            texts[f"time/50-{name}.conf"] = _sections(("Time", [("NTP", servers)]))
+        if computer.ros is not None:
+            texts[f"tmpfiles/50-{name}.conf"] = f"e {STATE.format(name=name)}/log - - - {LOG_AGE}\n"
         rules = list(_rules(computer))
         if rules:
             texts[f"udev/70-{name}.rules"] = "".join(f"{rule}\n" for rule in rules)
@@ -196,6 +207,11 @@ def _service(robot: Robot, computer: Computer) -> str:
         ]
         if computer.ros.middleware:
             entries.append(("Environment", f"RMW_IMPLEMENTATION={computer.ros.middleware}"))
+        entries.append(
+            ("Environment", f"ROS_AUTOMATIC_DISCOVERY_RANGE={computer.ros.discovery.upper()}")
+        )
+        if computer.ros.peers:
+            entries.append(("Environment", f"ROS_STATIC_PEERS={';'.join(computer.ros.peers)}"))
         entries += [("ExecStart", f"/bin/bash -c '{sources} && exec {launch}'")]
     entries += [
         # SIGINT ends the launch of ROS 2, and the runtime stops the robot on it.

@@ -47,11 +47,15 @@ class RosStart:
     - ``workspace``: path of the colcon workspace with the package.
     - ``domain``: domain id.
     - ``middleware``: RMW implementation, or empty for the one of the distribution.
+    - ``discovery``: where nodes find others: ``subnet`` or ``localhost``.
+    - ``peers``: other computers with nodes.
     """
 
     workspace: str
     domain: int = 0
     middleware: str = ""
+    discovery: str = "subnet"
+    peers: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +68,7 @@ class Computer:
     - ``ports``: serial ports by the names that they get in `/dev`.
     - ``joystick``: the joystick that becomes `/dev/joystick`, or ``None``.
     - ``ros``: how ROS 2 is started, or ``None`` if the runtime is started without ROS 2.
+    - ``time_servers``: NTP servers, or empty for those of the operating system.
     """
 
     user: str
@@ -72,3 +77,4 @@ class Computer:
     ports: tuple[tuple[str, UsbDevice], ...] = ()
     joystick: UsbDevice | None = None
     ros: RosStart | None = None
+    time_servers: tuple[str, ...] = ()

@@ -30,13 +30,21 @@ def read_computer(
     joystick = _device(section["joystick"]) if "joystick" in section else None
     _check_devices(section, report)
     ros = section["ros"]
+    start = RosStart(
+        ros["workspace"],
+        ros["domain"],
+        ros["middleware"],
+        ros["discovery"],
+        tuple(ros["peers"]),
+    )
     return Computer(
         section["user"],
         section["program"],
         adapters,
         ports,
         joystick,
-        RosStart(ros["workspace"], ros["domain"], ros["middleware"]) if "ros" in section else None,
+        start if "ros" in section else None,
+        tuple(section["time_servers"]),
     )
 
 

@@ -34,6 +34,8 @@ _TYPE_WORDS = {
 _AUTO = ("^auto", "^(auto")
 # Required keys of mappings for which people write the path of a module type or a file alone.
 _PATH_KEYS = (["type"], ["robot"], ["scenario"], ["xacro"], ["file"])
+_NAME_PATTERN = re.compile(r"\^(\(\?!\.\*__\))?\(?\[a-z\]")
+"""Patterns of names and of paths of names; the description says what others mean."""
 _EXPRESSION = "^\\$\\{.*\\}$"
 _ID_HINT = (
     "a name has lower-case letters, digits and `_`, begins with a letter, and has at most 64"
@@ -410,13 +412,13 @@ class _Explanation:
                 "start with `datasheet:`, `measured:`, `published:`, `estimated:`, `chosen:` "
                 "or `derived:`",
             )
-        elif "[^" in pattern:  # the pattern forbids characters
+        elif not _NAME_PATTERN.match(pattern) and "description" in self.schema:
             what = str(self.schema["description"])
             message = (
                 f"{self.value_name} cannot be `{text}`: {what[0].lower()}{what[1:].rstrip('.')}"
             )
             self.add("unknown-value", message, span, self.example_hint())
-        elif "\\." in pattern or pattern.startswith("^[A-Za-z"):
+        elif "\\." in pattern:
             self.add("bad-id", f"`{text}` is not a path of names", span, _path_hint(text))
         else:
             expected = (
