@@ -11,8 +11,9 @@ import pytest
 
 from tests.backend_files import files_of
 from tests.backends.plans import ROBOTS, grafted, mesh, stl
-from tests.examples import example_robot
+from tests.examples import FOLDER, example_robot
 from thorvaldc.backends.mjcf import Mjcf, simulation_files
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import (
     Block,
     Box,
@@ -28,6 +29,7 @@ from thorvaldc.model import (
     Visual,
     World,
 )
+from thorvaldc.model.statics.standing_pose import solve_statics
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 Written = Callable[[Robot], Path]
@@ -228,3 +230,17 @@ def _with_hull(robot: Robot) -> Robot:
     collision = Collision(MeshShape(hull.name), Pose((0.0, 0.0, 1.0)))
     base = replace(robot.links[0], collisions=(collision,))
     return replace(robot, links=(base, *robot.links[1:]), meshes=(*robot.meshes, hull))
+
+
+def test_a_joint_far_from_the_others_keeps_its_inertia(tmp_path: Path) -> None:
+    """At 26,000 km, moments about a common origin have no correct digit."""
+    text = (FOLDER / "1wd1ws_rear/robot.yaml").read_text(encoding="utf-8")
+    inertias = []
+    for inset in ("110 mm", "25953705 m"):
+        file = tmp_path / "robot.yaml"
+        file.write_text(text.replace("tube_inset_x: 110 mm", f"tube_inset_x: {inset}"), "utf-8")
+        robot = compile_file(file).model
+        assert isinstance(robot, Robot)
+        assert files_of(Mjcf, robot)
+        inertias.append(solve_statics(robot).inertias["rear_steering_joint"])
+    assert inertias[1] == pytest.approx(inertias[0], rel=1e-6)

@@ -22,6 +22,7 @@ from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.runtime.control_channel import ControlClient, ServiceError
 from thorvaldc.simulation.bus.bus_server import serving
+from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 PROGRAM = "/opt/thorvaldc-env/bin/thorvaldc"
@@ -35,12 +36,15 @@ PATIENCE = 60.0
 
 
 class Wheels:
-    """The speed of the fastest simulated motor, measured every 10 ms of simulated time."""
+    """The speed of the fastest simulated motor, measured every 10 ms of simulated time.
+
+    While ``frozen``, the devices report their last speeds and positions.
+    """
 
     def __init__(self, simulated: SimulatedRobot) -> None:
         self._simulated = simulated
         self.speed = 0.0
-        self.moved = False
+        self.moved = self.frozen = False
         self._measure()
 
     def _measure(self) -> None:
@@ -48,6 +52,9 @@ class Wheels:
         motors = self._simulated.motors.values()
         self.speed = max(abs(motor.read(now).velocity) for motor in motors)
         self.moved = self.moved or self.speed > 1e-6
+        for device in self._simulated.devices.values():
+            if isinstance(device, CanopenDevice) and device.frozen_reports != self.frozen:
+                device.frozen_reports = self.frozen
         self._simulated.timeline.after(10_000_000, self._measure)
 
 
@@ -129,14 +136,17 @@ def session(record: dict[str, Any]) -> None:
         record["errors"] = run("journalctl", "--unit", UNIT, "--output", "cat", "--no-pager")
         FILE.write_text(good, encoding="utf-8")
         record["ends"] = []
-        for how in (signal.SIGKILL, signal.SIGKILL, signal.SIGSTOP, signal.SIGKILL, signal.SIGKILL):
+        kill, stop = signal.SIGKILL, signal.SIGSTOP
+        for how, frozen in ((kill, False), (kill, True), (stop, False), (stop, True), (kill, True)):
             drive(wheels)
+            wheels.frozen = frozen
             run("systemctl", "reset-failed", UNIT)  # the limit of starts comes later
             os.kill(process, how)
             killed = time.monotonic()
             until("wheels at rest", lambda: wheels.speed < 1e-6)
             entry: dict[str, Any] = {"how": how.name, "rest": time.monotonic() - killed}
             record["ends"].append(entry)
+            wheels.frozen = False
             old = process
             until("another process", lambda old=old: shown("MainPID") not in ("0", str(old)))
             wheels.moved = False

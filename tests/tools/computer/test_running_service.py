@@ -120,9 +120,10 @@ def test_a_file_with_errors_leaves_the_last_build_in_use(record: dict[str, Any])
 
 
 def test_each_end_of_the_driver_stops_the_wheels(record: dict[str, Any]) -> None:
-    """Killed or stopped five times, the robot is at rest, and starts disarmed without moving."""
+    """Killed or stopped five times, some with frozen reports, the robot is at rest, and starts
+    disarmed without moving."""
     ends = record["ends"]
-    assert [end["how"] for end in ends] == ["SIGKILL", "SIGKILL", "SIGSTOP", "SIGKILL", "SIGKILL"]
+    assert [end["how"] for end in ends] == ["SIGKILL", "SIGKILL", "SIGSTOP", "SIGSTOP", "SIGKILL"]
     assert [(end["armed"], end["moved"]) for end in ends] == [(False, False)] * 5
     assert record["at_last"] == {"result": "signal", "speed": 0.0}
     assert record["failed"][0] == 1

@@ -198,7 +198,8 @@ def inverse_weights(
             motions.append((axis, cross(sub(pose.xyz, origin), axis)))
         parent_path = _BASE_PATH if parent_of[j] == 0 else paths[parent_of[j] + 5]
         paths.append([*parent_path, j + 5])
-    matrix, inertias = _mass_matrix(tree, paths, composite, motions)
+    inertias = _carried_inertias(tree)
+    matrix = _mass_matrix(tree, paths, composite, motions, inertias)
     matrix.factor()
     weights = []
     for name in links:
@@ -220,10 +221,11 @@ def _mass_matrix(
     paths: list[list[int]],
     composite: list[_SpatialInertia],
     motions: list[tuple[Vec3, Vec3]],
-) -> tuple[BranchSparse, dict[str, float]]:
-    """Return the mass matrix with motor inertias, and the carried inertia of each joint.
+    inertias: dict[str, float],
+) -> BranchSparse:
+    """Return the mass matrix with motor inertias.
 
-    The carried inertia of a joint does not include the motor inertia ``armature``.
+    ``inertias`` are the carried inertias of the joints; they are its diagonal.
     """
     matrix = BranchSparse(paths)
     for k in range(3):
@@ -232,14 +234,40 @@ def _mass_matrix(
         matrix.rows[k] = list(linear[: k + 1])
         linear, angular = _momentum(composite[0], unit, (0.0, 0.0, 0.0))
         matrix.rows[k + 3] = [*linear, *angular[: k + 1]]
-    inertias: dict[str, float] = {}
     for j, joint in enumerate(tree.moving, 1):
         linear, angular = _momentum(composite[j], *motions[j])
         row = [*linear, *angular]
-        for freedom in paths[j + 5][6:]:
+        for freedom in paths[j + 5][6:-1]:
             w, v = motions[freedom - 5]
             row.append(dot(w, angular) + dot(v, linear))
-        inertias[joint.name] = clean(row[-1])
-        row[-1] += joint.armature
+        row.append(inertias[joint.name] + joint.armature)
         matrix.rows[j + 5] = row
-    return matrix, inertias
+    return matrix
+
+
+def _carried_inertias(tree: JointTree) -> dict[str, float]:
+    """Return the carried inertia of each joint, as ``inverse_weights``.
+
+    A sum over the links of terms about the axis, none of them negative: a difference of moments
+    about a common origin has no correct digit far away from it.
+    """
+    inertias = {joint.name: 0.0 for joint in tree.moving}
+    for name in tree.order:
+        inertial = tree.links[name].inertial
+        if inertial is None:
+            continue
+        placed = inertial.transformed(tree.pose[name])
+        xx, yy, zz, xy, xz, yz = placed.inertia
+        j = tree.carrier[name]
+        while j != 0:
+            joint = tree.moving[j - 1]
+            pose = tree.pose[joint.child]
+            x, y, z = axis = pose.rotate(joint.axis)
+            if joint.type == "prismatic":
+                inertias[joint.name] += placed.mass
+            else:
+                arm = cross(axis, sub(placed.com, pose.xyz))
+                about_com = x * (xx * x + 2 * (xy * y + xz * z)) + y * (yy * y + 2 * yz * z)
+                inertias[joint.name] += about_com + zz * z * z + placed.mass * dot(arm, arm)
+            j = tree.moving_parent[j]
+    return {name: clean(inertia) for name, inertia in inertias.items()}
