@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bisect
-import os
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 @dataclass(frozen=True)
 class Document:
-    """A document of the language, which a rule reads.
+    """A document of the language.
 
     - ``path``: path of the file, as the user wrote it; its text is the name in spans.
     - ``kind``: kind of the document.
@@ -34,11 +33,6 @@ class Document:
     kind: Kind
     data: bytes
     root: Node
-
-    @cached_property
-    def real_path(self) -> str:
-        """Path without symbolic links."""
-        return os.path.realpath(self.path)
 
     @property
     def is_unit(self) -> bool:
