@@ -54,10 +54,6 @@ class Document:
     def _line_starts(self) -> list[int]:
         return [0, *(match.end() for match in _LINE_BREAK.finditer(self.text))]
 
-    def text_at(self, span: Span) -> str:
-        """Returns the text of a source span."""
-        return self.text[slice(*self._range(span))]
-
     def _range(self, span: Span) -> tuple[int, int]:
         starts = self._line_starts
         return (
