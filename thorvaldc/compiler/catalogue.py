@@ -20,6 +20,7 @@ from thorvaldc.compiler.hardware.robot_parts import RobotParts, masses_by_source
 from thorvaldc.compiler.modules.library import Library, ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope, hint_of_known
 from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
+from thorvaldc.compiler.modules.mounting import mount_kinds
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.result import accept_warnings, read_acceptances, report_unused
 from thorvaldc.compiler.source.node import Node
@@ -250,15 +251,10 @@ class _Expanded:
     @property
     def mounts_on(self) -> tuple[str, ...]:
         """Kinds of ports that the first leaf module fits."""
-        module = self._module
-        if module.is_assembly:
-            first = next((leaf.type for leaf in self._leaves if leaf.type is not None), None)
-            if first is None:
-                return ()
-            module = first
-        mount = module.document.get("mount")
-        kinds = mount.get("kinds") if mount is not None else None
-        return tuple(str(kind) for kind in kinds.plain()) if kinds is not None else ()
+        module: ModuleType | None = self._module
+        if self._module.is_assembly:
+            module = next((leaf.type for leaf in self._leaves if leaf.type is not None), None)
+        return tuple(mount_kinds(module))
 
     @property
     def port_kinds(self) -> dict[str, str]:
