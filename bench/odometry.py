@@ -322,7 +322,7 @@ def _estimated(geometry: BaseGeometry, driven: Drive, true: Pose2) -> tuple[Pose
     for (vx, vy, wz), (a, b, c) in zip(twists.T.tolist(), covariances.tolist(), strict=True):
         twist = Twist(vx, vy, wz)
         q: Cov3 = (tuple(a), tuple(b), tuple(c))
-        covariance = se2.propagate(covariance, twist, q, DT)
+        _, covariance = se2.integrate(covariance, twist, q, DT)
         pose = pose.moved(se2.exp(twist, DT))
     error = np.array(true.relative_to(pose))
     return pose, float(error @ np.linalg.solve(np.array(covariance), error))

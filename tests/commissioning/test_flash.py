@@ -391,12 +391,6 @@ def test_a_deleted_doubled_or_moved_record_is_refused() -> None:
         Journal(MemoryStorage(bench.storage.data[len(data) :]))
 
 
-def test_a_journal_of_the_version_without_a_chain_is_refused() -> None:
-    line = b'{"record":"run","format":"thorvaldc-flash","version":2,"crc":"9a0364b9"}\n'
-    with pytest.raises(DiagnosticError, match="version 2, whose records were not chained"):
-        Journal(MemoryStorage(line))
-
-
 def test_a_full_disk_breaks_no_chain(tmp_path: Path) -> None:
     path = tmp_path / "robot.flash.jsonl"
     file = JournalFile(path)

@@ -262,7 +262,7 @@ def _documents() -> list[Kind]:
             "module",
             (
                 *("check robot.yaml", "modules check lib", "modules list --library lib"),
-                "upgrade --dry-run robot.yaml BROKEN --library lib",
+                "upgrade --dry-run robot.yaml BROKEN",
             ),
             modules,
             YAML,

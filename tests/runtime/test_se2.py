@@ -79,7 +79,7 @@ def test_covariance_agrees_with_finite_differences(twist: Twist) -> None:
                 if varied == "twist":
                     source = tuple(tuple(v / dt**2 for v in row) for row in source)
                 arguments = {varied: source, constant: ZERO_COV}
-                covariance = se2.propagate(arguments["pose"], twist, arguments["twist"], dt)
+                _, covariance = se2.integrate(arguments["pose"], twist, arguments["twist"], dt)
                 for i in range(3):
                     for j in range(3):
                         assert covariance[i][j] == pytest.approx(change[i] * change[j], abs=1e-5)
@@ -94,7 +94,7 @@ def test_pose_covariance_agrees_with_many_runs() -> None:
     mean, covariance = ORIGIN, ZERO_COV
     for _ in range(n):
         mean = mean.moved(se2.exp(twist, dt))
-        covariance = se2.propagate(covariance, twist, q, dt)
+        _, covariance = se2.integrate(covariance, twist, q, dt)
     runs = 1000
     sums = [[0.0] * 3 for _ in range(3)]
     for _ in range(runs):

@@ -26,10 +26,7 @@ from thorvaldc.backends.sdf import model_text, world_files
 from thorvaldc.backends.urdf import urdf_text
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import to_json
-from thorvaldc.model.result_cache import with_results_of
 from thorvaldc.model.settings import NAME_PREFIX, NAME_SPACE, package_name
-from thorvaldc.model.statics.joint_tree import tree_of
-from thorvaldc.model.statics.standing_pose import solve_statics
 
 FOLDER = "ros2"
 _SPACE = "thorvaldc_name_space"
@@ -75,7 +72,6 @@ def fleet_package(fleet: Fleet) -> dict[str, bytes]:
 def package_of(robot: Robot) -> dict[str, bytes]:
     """Return the files of the ROS 2 package of a robot, by their path in the package."""
     parts, named = ros2_parts.parts_of(robot), replace(robot, namespace=_SPACE)
-    named = with_results_of(named, robot, tree_of, solve_statics)
     launches = ros2_package_files.launch_files(robot, parts)
     names = [posixpath.basename(path).removesuffix(".launch.py") for path in launches]
     plugins = set(ros2_navigation.plugin_packages(robot, parts))

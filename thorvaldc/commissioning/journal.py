@@ -45,8 +45,6 @@ MAX_BYTES = 64_000_000
 _HEAD = b'{"record":"'
 _LINE = re.compile(rb'(.*),"chain":"([0-9a-f]{32})"}')
 """A complete line: the record without its last brace, and its link of the chain."""
-_OLD_LINE = re.compile(rb'.*,"crc":"[0-9a-f]{8}"}')
-"""A complete line of version 2, whose records were not chained."""
 
 
 class Storage(Protocol):
@@ -272,11 +270,6 @@ class Journal:
                         f"line {number} does not follow the line before it: a record was changed,"
                         " deleted, doubled or moved"
                     )
-            elif _OLD_LINE.fullmatch(line):
-                raise self._unreadable(
-                    f"line {number} has the version 2, whose records were not chained; this program"
-                    f" reads version {VERSION}"
-                )
             try:
                 if complete is None:
                     raise ValueError(line)

@@ -20,6 +20,7 @@ from thorvaldc.compiler.hardware.robot_parts import RobotParts, masses_by_source
 from thorvaldc.compiler.modules.library import Library, ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope, hint_of_known
 from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
+from thorvaldc.compiler.modules.mounting import mount_kinds
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.result import accept_warnings, read_acceptances, report_unused
 from thorvaldc.compiler.source.node import Node
@@ -73,21 +74,18 @@ def check_library(folder: Path | None) -> LibraryCheck:
     return check
 
 
-def check_module(
-    name: str, library: Library, report: Report, values: dict[str, Node] | None = None
-) -> None:
+def check_module(name: str, library: Library, report: Report) -> None:
     """Checks a module type and reports every error.
 
     The function computes the links, joints and motors of the module type with the default values of
-    the parameters.  For a module type with a parameter without a value, only the schema check is
-    done.  ``values``: values of parameters that have no default.
+    the parameters.  For a module type with a parameter without a default value, only the schema
+    check is done.
     """
     module = library.load(name, Node(name, Span(name)), report)
-    values = values or {}
-    if module is None or not _has_values(module, values):
+    if module is None or not _has_values(module):
         return
     part_name = name.rpartition("/")[2]
-    robot, resolver = _expanded(module, part_name, library, report, values)
+    robot, resolver = _expanded(module, part_name, library, report)
     part = robot.children.get(part_name)
     if part is not None and module.is_assembly:
         _check_assembly_references(part, module, resolver, report)
@@ -108,22 +106,17 @@ def check_module(
                     report.put(diagnostic)
 
 
-def _has_values(module: ModuleType, values: dict[str, Node]) -> bool:
-    """Returns whether all parameters of a module type have values or default values."""
-    params = module.section("params")
-    return all(name in values or params[name].get("default") is not None for name in params)
+def _has_values(module: ModuleType) -> bool:
+    """Returns whether all parameters of a module type have default values."""
+    return all(p.get("default") is not None for p in module.section("params").values())
 
 
 def _expanded(
-    module: ModuleType,
-    name: str,
-    library: Library,
-    report: Report,
-    values: dict[str, Node] | None = None,
+    module: ModuleType, name: str, library: Library, report: Report
 ) -> tuple[Instance, Resolver]:
     """Returns a robot with one module of a type, called ``name``, and its resolver."""
     span = module.document.span
-    entry = Node({"type": Node(module.name, span), "params": Node(values or {}, span)}, span)
+    entry = Node({"type": Node(module.name, span), "params": Node({}, span)}, span)
     robot = Instance("", None, Scope(None, {}, library, report, None), entry, span, None)
     resolver = Resolver(library, report)
     resolver.expand(robot, name, entry)
@@ -250,7 +243,7 @@ class _Expanded:
         self._hardware: dict[str, Hardware] | None = None
         self._part: Instance | None = None
         self._leaves: list[Instance] = []
-        if _has_values(module, {}):
+        if _has_values(module):
             self._robot, self._resolver = _expanded(module, "module", library, self._report)
             self._part = self._robot.children.get("module")
             self._leaves = list(self._robot.leaves())
@@ -258,15 +251,10 @@ class _Expanded:
     @property
     def mounts_on(self) -> tuple[str, ...]:
         """Kinds of ports that the first leaf module fits."""
-        module = self._module
-        if module.is_assembly:
-            first = next((leaf.type for leaf in self._leaves if leaf.type is not None), None)
-            if first is None:
-                return ()
-            module = first
-        mount = module.document.get("mount")
-        kinds = mount.get("kinds") if mount is not None else None
-        return tuple(str(kind) for kind in kinds.plain()) if kinds is not None else ()
+        module: ModuleType | None = self._module
+        if self._module.is_assembly:
+            module = next((leaf.type for leaf in self._leaves if leaf.type is not None), None)
+        return tuple(mount_kinds(module))
 
     @property
     def port_kinds(self) -> dict[str, str]:

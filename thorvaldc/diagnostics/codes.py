@@ -414,7 +414,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV972", "git-file-missing", "a revision does not have a file"),
     _error("TV973", "git-failed", "git cannot read a revision, or the revision is too large"),
     _error("TV974", "why-path-unknown", "a robot or an output has no value with a name"),
-    _note("TV976", "upgrade-decision", "a file relies on a default that has changed"),
+    _note("TV976", "upgrade-decision", "a file has a word that the language had"),
     _error("TV985", "build-stale", "a build folder is not the output of the present file"),
     _error("TV986", "accept-code", "an entry of `accept` names no warning"),
     _warning("TV987", "accept-unused", "an accepted warning does not occur any more"),

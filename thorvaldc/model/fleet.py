@@ -127,14 +127,10 @@ class Zone:
         """True if the zone of the ground is level: not raised and without bumps."""
         return not (self.height or self.amplitude)
 
-    def holds(self, x: float, y: float, margin: float = 0.0) -> bool:
-        """Return whether a point is in the zone of the ground, or at most ``margin`` m outside the
-        zone.
-
-        ``x`` and ``y`` are the coordinates of the point on the ground in m.
-        """
+    def holds(self, x: float, y: float) -> bool:
+        """Return whether a point of the ground (m) is in the zone."""
         local = self.pose.inverse().apply((x, y, self.pose.xyz[2]))
-        return all(abs(local[i]) <= self.size[i] / 2 + margin for i in range(2))
+        return all(abs(local[i]) <= self.size[i] / 2 for i in range(2))
 
 
 @dataclass(frozen=True, slots=True)

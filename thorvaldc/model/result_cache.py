@@ -27,7 +27,11 @@ def once_per_model(
 
     @functools.wraps(function)
     def cached(model: Model, /, *args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-        results = _results_of(model)
+        number = id(model)
+        if number not in _results:
+            reference = weakref.ref(model, lambda _: _results.pop(number, None))
+            _results[number] = (reference, {})
+        results = _results[number][1]
         key = (function, args, tuple(kwargs.items()))
         if key not in results:
             results[key] = function(model, *args, **kwargs)
@@ -35,22 +39,3 @@ def once_per_model(
         return result
 
     return cached
-
-
-def with_results_of(copy: Model, model: Any, *functions: Callable[[Any], Any]) -> Model:
-    """Return a changed copy of a model, whose results of these functions are those of the model.
-
-    What was changed must have no influence on them.
-    """
-    results = {(each.__wrapped__, (), ()): each(model) for each in functions}  # type: ignore[attr-defined]
-    _results_of(copy).update(results)
-    return copy
-
-
-def _results_of(model: Any) -> dict[Any, Any]:
-    number = id(model)
-    entry = _results.get(number)
-    if entry is None:
-        entry = (weakref.ref(model, lambda _: _results.pop(number, None)), {})
-        _results[number] = entry
-    return entry[1]

@@ -165,14 +165,6 @@ def combine(p: Cov3, q: Cov3, factor: float = 1.0) -> Cov3:
     )
 
 
-def propagate(covariance: Cov3, twist: Twist, twist_covariance: Cov3, dt: float) -> Cov3:
-    """Returns the covariance of the pose after a motion of ``dt`` s.
-
-    The documentation of ``integrate`` derives the covariance.
-    """
-    return integrate(covariance, twist, twist_covariance, dt)[1]
-
-
 def integrate(
     covariance: Cov3,
     twist: Twist,

@@ -14,7 +14,7 @@ from thorvaldc.diagnostics import DiagnosticError, Report, Span
 from thorvaldc.diagnostics.text_layout import preformatted
 from thorvaldc.model.scenario import Expectation, Scenario
 from thorvaldc.simulation import control_loop
-from thorvaldc.simulation.records.recorder import Recorder, RunHash
+from thorvaldc.simulation.records.recorder import Recorder, RunHash, record_ticks
 from thorvaldc.simulation.simulation_result import SimulationResult, result_table
 from thorvaldc.simulation.simulation_run import Simulation
 
@@ -185,6 +185,7 @@ class ScenarioSimulation(Simulation):
 
         run_hash = RunHash()
         all_recorders = (run_hash, *recorders) if hashed else tuple(recorders)
+        record = record_ticks(all_recorders)
         self.episode.record_sensors(recorders)
         metrics: dict[str, ScenarioMetrics] = {}
         limited = [e for e in self.scenario.expectations if ends_early and e.most is not None]
@@ -197,10 +198,7 @@ class ScenarioSimulation(Simulation):
             if limited and loop.ticks % _TICKS_PER_CHECK == 0:
                 _check_least_values(loop, robot_metrics, limited)
             if all_recorders:
-                command = loop.driver.state.command
-                sample, joints = loop.sample(), None if command is None else command.joints
-                for recorder in all_recorders:
-                    recorder.record(loop.name, sample, joints)
+                record(loop)
             if on_tick is not None:
                 on_tick(loop)
 

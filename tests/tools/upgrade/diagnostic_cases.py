@@ -5,6 +5,5 @@ from __future__ import annotations
 from pathlib import Path
 
 from thorvaldc.tools.upgrade.file_upgrade import upgrade_file
-from thorvaldc.tools.upgrade.rules import Context
 
-COMMANDS = {"upgrade": lambda case, entry: upgrade_file(Path(entry), Context()).report}
+COMMANDS = {"upgrade": lambda case, entry: upgrade_file(Path(entry)).report}

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from thorvaldc.compiler.modules import module_tree
+from thorvaldc.compiler.modules.library import ModuleType
 from thorvaldc.compiler.modules.module_parameters import hint_of_known
 from thorvaldc.compiler.source.node import Node, removal
 from thorvaldc.compiler.values.document_section import read_pose
@@ -185,7 +186,7 @@ class Mounting:
         """Checks that the kind of a port fits the mount kinds of the module type."""
         if mounted_leaf.type is None or not kind:
             return
-        fitting_kinds = mount_kinds(mounted_leaf)
+        fitting_kinds = mount_kinds(mounted_leaf.type)
         if kind in fitting_kinds:
             return
         shown_kinds = " or ".join(f"`{k}`" for k in fitting_kinds) or "no port at all"
@@ -237,7 +238,7 @@ class Mounting:
             mount = module_tree.Mount(carrier, link, pose, section.span)
             kind = carrier.scope.text(section.get("kind"))
             is_present = carrier.scope.boolean(section.get("when"), True)
-            if is_present and mount.place not in occupied and kind in mount_kinds(mounted):
+            if is_present and mount.place not in occupied and kind in mount_kinds(mounted.type):
                 references.append(f"{carrier.path}.{name}")
         return references
 
@@ -268,9 +269,9 @@ class Mounting:
             )
 
 
-def mount_kinds(leaf: module_tree.Instance) -> list[str]:
-    """Returns the kinds of ports that a module fits."""
-    mount = leaf.type.document.get("mount") if leaf.type is not None else None
+def mount_kinds(module: ModuleType | None) -> list[str]:
+    """Returns the kinds of ports that a leaf module fits."""
+    mount = module.document.get("mount") if module is not None else None
     kinds = mount.get("kinds") if mount is not None else None
     return [str(kind) for kind in kinds.plain()] if kinds is not None else []
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from thorvaldc.diagnostics import Proposal, Report, Span
@@ -251,6 +251,16 @@ def yaml_text(value: object) -> str:
         plain = "," not in value and re.fullmatch(_NEEDS_NO_QUOTES, value) and is_plain_text(value)
         return value if plain else json.dumps(value, ensure_ascii=False)
     return str(value)
+
+
+def edited(text: str, replacements: Mapping[Span, str]) -> str:
+    """Returns the text of a YAML document with new text at some spans that do not overlap."""
+    starts = [0, *(match.end() for match in re.finditer(r"\r\n|\r|\n", text))]
+    for span in sorted(replacements, reverse=True):
+        start = starts[span.line - 1] + span.column - 1
+        end = starts[span.end_line - 1] + span.end_column - 1
+        text = text[:start] + replacements[span] + text[end:]
+    return text
 
 
 def insertion(hint: str, mapping: Node, key: str, value: str, *, is_example: bool) -> Proposal:

@@ -91,14 +91,6 @@ def is_bare_number(text: str) -> bool:
     return _NUMBER.fullmatch(text.strip().replace("\N{MINUS SIGN}", "-")) is not None
 
 
-def parse_unit(text: str) -> Unit:
-    """Parses a unit without a number, such as ``kg m^2``.
-
-    Raises ``UnitError`` if the text is not a unit.
-    """
-    return _parse_unit(text)
-
-
 def describe(dimension: Dimension) -> str:
     """Returns the name of a physical dimension, such as ``a length``.
 
@@ -184,7 +176,7 @@ def _parse_unit_after_number(rest: str, text: str, kind: Quantity | None) -> Uni
     kind.
     """
     try:
-        return _parse_unit(rest)
+        return parse_unit(rest)
     except UnitError as error:
         hint = error.hint
         if kind is not None and error.unknown == rest:
@@ -320,10 +312,11 @@ _SUPERSCRIPT = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻", "0123456789+-"
 
 
 @functools.lru_cache(maxsize=1024)
-def _parse_unit(text: str) -> Unit:
+def parse_unit(text: str) -> Unit:
     """Parses a unit such as ``kg m^2``, ``N s/m``, ``m/s²`` or ``J/(kg K)``.
 
-    The operators ``*`` and ``/`` in a unit are applied from left to right.
+    The operators ``*`` and ``/`` in a unit are applied from left to right.  Raises ``UnitError`` if
+    the text is not a unit.
     """
     known_unit = _find_unit(text)
     if known_unit is not None:
@@ -488,7 +481,7 @@ def _unit_hint(name: str, kind: Quantity | None = None) -> str | None:
     if kind is not None:
         common = [
             kind.unit,
-            *(u for u in unit_table.COMMON if _parse_unit(u).dimension in kind.dimensions),
+            *(u for u in unit_table.COMMON if parse_unit(u).dimension in kind.dimensions),
         ]
     for known in common:
         if known.casefold() == name.casefold():

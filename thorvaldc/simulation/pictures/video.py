@@ -12,7 +12,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from thorvaldc.diagnostics.files import STAGE_PREFIX, errors_with_name
 from thorvaldc.diagnostics.installation import install_command
@@ -25,10 +25,6 @@ from thorvaldc.simulation.pictures.render import (
     picture_scene,
     renderer,
 )
-
-if TYPE_CHECKING:
-    pass
-
 
 FORMATS = ("mp4", "gif")
 RATES = {"mp4": 25.0, "gif": 12.5}

@@ -238,7 +238,7 @@ class ModuleView:
         """Returns the kinds of ports that a module of the document fits, or ``None``."""
         instance = self.root.children.get(module)
         leaf = _carrier(instance) if instance is not None else None
-        return mount_kinds(leaf) if leaf is not None else None
+        return mount_kinds(leaf.type) if leaf is not None else None
 
     def motors(self) -> list[str]:
         """Returns the references to the motors of the modules of the document."""

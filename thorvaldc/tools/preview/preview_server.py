@@ -32,8 +32,6 @@ DRAW_TIME = 0.5
 """Longest time in s that the facts wait for the picture.  A hidden page draws none."""
 MAX_MESSAGE = 4096
 """Largest message in bytes from a page."""
-TIMINGS = 200
-"""Number of pictures whose times a server keeps."""
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline';"
@@ -79,7 +77,6 @@ class PreviewServer:
         self.compiled = compiled
         self.token = secrets.token_urlsafe(24)
         self.port = 0
-        self.timings: list[dict[str, float]] = []
         self._clients: set[_Client] = set()
         self._drives: dict[PageDrive, threading.Thread] = {}
         self._details: dict[str, Any] = {}
@@ -181,9 +178,7 @@ class PreviewServer:
             elif kind == "drive":
                 self._switch(client, message["on"] is True, str(message.get("robot", "")))
             elif kind == "drawn":
-                times = {str(name): float(value) for name, value in message["times"].items()}
                 self._drawn.set()
-                self.timings = [*self.timings[1 - TIMINGS :], times]
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError):
             return  # no message of the page
 

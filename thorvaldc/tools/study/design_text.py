@@ -5,9 +5,9 @@ from __future__ import annotations
 import functools
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
-from thorvaldc.compiler.source.node import Node, Value, insertion, yaml_text
+from thorvaldc.compiler.source.node import Node, Value, edited, insertion, yaml_text
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Report, Span
 
@@ -45,7 +45,7 @@ def with_replaced_values(text: str, values: Iterable[tuple[str, Value]]) -> str:
     """
     document = _parsed(text)
     aliases = shared_spans(document)
-    edits: list[tuple[Span, str]] = []
+    edits: dict[Span, str] = {}
     missing: list[tuple[str, Value]] = []
     for path, value in values:
         node, keys = find_value(document, path)
@@ -54,8 +54,8 @@ def with_replaced_values(text: str, values: Iterable[tuple[str, Value]]) -> str:
         elif node.span in aliases:
             raise PathError(f"a YAML alias repeats the value of `{path}`: write it in each place")
         else:
-            edits.append((node.span, value_text(value)))
-    text = _edited(text, edits)
+            edits[node.span] = value_text(value)
+    text = edited(text, edits)
     for path, value in missing:
         # Each addition moves the text behind it.
         mapping, keys = find_value(_parsed(text), path)
@@ -66,7 +66,7 @@ def with_replaced_values(text: str, values: Iterable[tuple[str, Value]]) -> str:
             added = f"{{{key}: {added}}}"
         proposal = insertion("", mapping, keys[0], added, is_example=False)
         assert proposal.span is not None
-        text = _edited(text, [(proposal.span, proposal.replacements[0])])
+        text = edited(text, {proposal.span: proposal.replacements[0]})
     return text
 
 
@@ -84,14 +84,3 @@ def _parsed(text: str) -> Node:
     if document is None:
         raise PathError("the robot file is not a YAML document")
     return document
-
-
-def _edited(text: str, edits: Sequence[tuple[Span, str]]) -> str:
-    starts = [0]
-    for line in text.split("\n"):
-        starts.append(starts[-1] + len(line) + 1)
-    for span, new in sorted(edits, key=lambda edit: edit[0][1:3], reverse=True):
-        start = starts[span.line - 1] + span.column - 1
-        end = starts[span.end_line - 1] + span.end_column - 1
-        text = text[:start] + new + text[end:]
-    return text

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import bisect
-import os
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import Node, edited
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.values.unit_file import with_design
-from thorvaldc.diagnostics import Fix, Report, Span
+from thorvaldc.diagnostics import Fix, Report
 from thorvaldc.schema import Kind
 
-_LINE_BREAK = re.compile(r"\r\n|\r|\n")
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 
 @dataclass(frozen=True)
 class Document:
-    """A document of the language, which a rule reads.
+    """A document of the language.
 
     - ``path``: path of the file, as the user wrote it; its text is the name in spans.
     - ``kind``: kind of the document.
@@ -34,11 +30,6 @@ class Document:
     kind: Kind
     data: bytes
     root: Node
-
-    @cached_property
-    def real_path(self) -> str:
-        """Path without symbolic links."""
-        return os.path.realpath(self.path)
 
     @property
     def is_unit(self) -> bool:
@@ -56,41 +47,17 @@ class Document:
         """The text with its line breaks, without a byte order mark."""
         return self.data.decode("utf-8-sig")
 
-    @cached_property
-    def _line_starts(self) -> list[int]:
-        return [0, *(match.end() for match in _LINE_BREAK.finditer(self.text))]
-
-    def text_at(self, span: Span) -> str:
-        """Returns the text of a source span."""
-        return self.text[slice(*self._range(span))]
-
-    def _range(self, span: Span) -> tuple[int, int]:
-        starts = self._line_starts
-        return (
-            starts[span.line - 1] + span.column - 1,
-            starts[span.end_line - 1] + span.end_column - 1,
-        )
-
     def changed(self, changes: Iterable[Fix]) -> Document | None:
         """Returns the document with changes that do not overlap.
 
-        Of changes that overlap, the first is made.  Returns ``None`` if no change is left, or if
+        An alias repeats the spans of its anchor.  Returns ``None`` if there is no change, or if
         the new text is no YAML document.
         """
-        ranges: list[tuple[int, int, str]] = []
-        for change in changes:
-            start, end = self._range(change.span)
-            place = bisect.bisect(ranges, (start, end, change.text))
-            before, after = ranges[place - 1 : place], ranges[place : place + 1]
-            is_free = all(e <= start for _, e, _ in before) and all(end <= s for s, *_ in after)
-            if is_free and self.text[start:end] != change.text:
-                ranges.insert(place, (start, end, change.text))
-        text = self.text
-        for start, end, new in reversed(ranges):
-            text = text[:start] + new + text[end:]
+        replacements = {change.span: change.text for change in changes}
+        text = edited(self.text, replacements)
         mark = BYTE_ORDER_MARK if self.data.startswith(BYTE_ORDER_MARK) else b""
         report, data = Report(), mark + text.encode()
-        root = read_text(data, str(self.path), report) if ranges else None
+        root = read_text(data, str(self.path), report) if replacements else None
         if root is None or report.has_errors:
             return None
         return Document(self.path, self.kind, data, root)

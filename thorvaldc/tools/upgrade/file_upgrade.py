@@ -1,40 +1,43 @@
-"""Applies the rules to a file, in memory."""
+"""Rewrites the words of a file that have another name, in memory.
+
+A word that has gone, or stands beside its new name, is a decision for a person.
+``docs/upgrade.md`` lists the words, which are in ``schema/old_words.py``.
+"""
 
 from __future__ import annotations
 
 import difflib
 import re
-from collections import Counter
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from thorvaldc.compiler.source.input_file import read_bytes
+from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import MAX_BYTES, read_text
 from thorvaldc.compiler.validation.document_check import check, kind_of, report_wrong_kind
-from thorvaldc.diagnostics import Diagnostic, Fix, Report, Span
-from thorvaldc.schema import Kind
+from thorvaldc.compiler.values.value_reader import entries
+from thorvaldc.diagnostics import Fix, Report, Span
+from thorvaldc.schema.old_words import OldWord, old_keys, old_value
 from thorvaldc.tools.upgrade.document import Document
-from thorvaldc.tools.upgrade.rules import RULES, Context, Decision, Rule
-
-MOST_ROUNDS = 1000
-"""Greatest number of times that a rule is applied to a file.  One round changes each place once."""
 
 
 @dataclass
 class Upgrade:
-    """What the rules do with one file.
+    """What happens to the words of one file.
 
     - ``path``: path of the file.
     - ``before``: the document as it is, or ``None`` if it cannot be upgraded.
     - ``after``: the document in the present language.
-    - ``changes``: number of changes by each rule.
+    - ``changes``: number of words that were renamed.
     - ``report``: errors, and what a person must decide.
     """
 
     path: Path
     before: Document | None = None
     after: Document | None = None
-    changes: Counter[str] = field(default_factory=Counter)
+    changes: int = 0
     report: Report = field(default_factory=Report)
 
     @property
@@ -85,37 +88,61 @@ def _has_present_version(document: Document, report: Report) -> bool:
     return not versions
 
 
-def upgrade_file(path: Path, context: Context) -> Upgrade:
-    """Returns what the rules do with a file.  Nothing is written."""
+class Decision(NamedTuple):
+    """What a person must decide about a place of a file."""
+
+    span: Span
+    message: str
+    hint: str
+
+
+def upgrade_file(path: Path) -> Upgrade:
+    """Returns what happens to a file.  Nothing is written."""
     upgrade = Upgrade(path)
     upgrade.before = upgrade.after = read_document(path, upgrade.report)
-    for rule in RULES:
-        if upgrade.after is not None and upgrade.after.kind in rule.kinds:
-            upgrade.after = _applied(rule, upgrade.after, context, upgrade)
+    if upgrade.before is None:
+        return upgrade
+    fixes = [item for item in find_old_words(upgrade.before) if isinstance(item, Fix)]
+    changed = upgrade.before.changed(fixes)
+    if changed is not None:
+        upgrade.after, upgrade.changes = changed, len({fix.span for fix in fixes})
+    for item in find_old_words(changed or upgrade.before):
+        if isinstance(item, Decision):
+            upgrade.report.add("upgrade-decision", item.message, item.span, hint=item.hint)
     return upgrade
 
 
-def _applied(rule: Rule, document: Document, context: Context, upgrade: Upgrade) -> Document:
-    """Applies a rule until it changes nothing, and adds what is left to the report."""
-    for _ in range(MOST_ROUNDS):
-        findings = list(rule.find(document, context))
-        fixes = list(dict.fromkeys(f for f in findings if isinstance(f, Fix)))
-        changed = document.changed(fixes)
-        if changed is None:
-            break
-        upgrade.changes[rule.name] += len({fix.span for fix in fixes})
-        document = changed
-    for item in findings:
-        if isinstance(item, Decision):
-            upgrade.report.add("upgrade-decision", item.message, item.span, hint=item.hint)
-        elif isinstance(item, Diagnostic) and item.span is not None:
-            # The file has a name of its own in the library.
-            span = Span(str(document.path), *item.span[1:])
-            upgrade.report.put(replace(item, span=span, fixes=()))
-    return document
+def find_old_words(document: Document) -> Iterator[Fix | Decision]:
+    """Yields the words that the language had: renamed ones as changes, others as decisions."""
+    for path, node in document.root.walk():
+        if path and document.is_unit:  # its first key can be a dotted path
+            path = (*str(path[0]).split("."), *path[1:])
+        if node.key_span is not None:
+            for word in old_keys(document.kind, path):
+                siblings = _at(document.root, path[:-1])
+                if not word.types or _type_of(document.whole, path) in word.types:
+                    yield _renamed(word, node.key_span, word.new in siblings)
+        word_of_value = old_value(document.kind, path, node.value)
+        if word_of_value is not None:
+            yield _renamed(word_of_value, node.span, False)
 
 
-def kind_of_file(path: Path) -> Kind | None:
-    """Returns the kind of the document in a file, or ``None``."""
-    document = read_document(path, Report())
-    return document.kind if document is not None else None
+def _renamed(word: OldWord, span: Span, is_taken: bool) -> Fix | Decision:
+    old = word.value or word.path[-1]
+    if word.new and not is_taken:
+        return Fix(span, word.new)
+    hint = f"keep one of `{old}` and `{word.new}`" if word.new else word.advice
+    return Decision(span, f"`{old}` is not a word of the language any more", hint)
+
+
+def _at(root: Node, path: Sequence[str | int]) -> dict[str, Node]:
+    node: Node | None = root
+    for key in path:
+        node = entries(node).get(str(key))
+    return entries(node)
+
+
+def _type_of(root: Node, path: Sequence[str | int]) -> object:
+    """Returns the type of the module to whose ``params`` a path belongs."""
+    node = _at(root, path[:-2]).get("type")
+    return node.value if node is not None else None

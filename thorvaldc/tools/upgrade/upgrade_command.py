@@ -32,20 +32,15 @@ def upgrade(
         ),
     ] = False,
     json: options.Json = False,
-    library: options.Library = [],  # noqa: B006
 ) -> int:
     from thorvaldc.diagnostics.report import grouped
-    from thorvaldc.tools.upgrade.file_upgrade import kind_of_file, upgrade_file
-    from thorvaldc.tools.upgrade.rules import Context
+    from thorvaldc.tools.upgrade.file_upgrade import upgrade_file
 
-    folders = tuple(options.library_folders(library))
-    paths = [Path(file) for file in dict.fromkeys(files)]
-    robots = tuple(p for p in paths if kind_of_file(p) in ("robot", "fleet", "scenario"))
     output = diagnostic_output.DiagnosticOutput("json" if json else "text", sys.stderr)
     decisions, sources, status = Report(), {}, DONE
     upgrades = []
-    for path in paths:
-        result = upgrade_file(path, Context(folders, robots))
+    for path in map(Path, dict.fromkeys(files)):
+        result = upgrade_file(path)
         sources[str(path)] = path
         errors = Report()
         errors.extend(result.report.errors)
@@ -61,7 +56,7 @@ def upgrade(
         upgrades.append(
             {
                 "file": str(path),
-                "changes": dict(result.changes),
+                "changes": result.changes,
                 "difference": difference,
                 "written": is_written,
             }
@@ -96,9 +91,9 @@ def _write(result: Upgrade) -> bool:
 
 def _summary(result: Upgrade, dry_run: bool) -> str:
     decisions = len(list(result.report)) - len(result.report.errors)
-    parts = [f"{name} ({count(n, 'change')})" for name, n in result.changes.items()]
     verb = "would be upgraded" if dry_run else "upgraded"
-    text = f"{verb}: {', '.join(parts)}" if parts else "nothing to change"
+    changes = f"{verb}: {count(result.changes, 'change')}"
+    text = changes if result.changes else "nothing to change"
     if decisions:
         text += f"; {count(decisions, 'decision')} for you"
     if result.report.errors:
