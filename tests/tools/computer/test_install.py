@@ -54,16 +54,6 @@ def read(root: Path, path: str) -> str:
     raise AssertionError(path)
 
 
-@pytest.fixture
-def root(tmp_path: Path, thorvaldc: Command) -> Path:
-    """The file system of a computer, and a folder with a robot of its own."""
-    Path("own").mkdir()
-    Path("own/good.yaml").write_text(GOOD, encoding="utf-8")
-    os.chdir("own")
-    (tmp_path / "root/etc").mkdir(parents=True)
-    return tmp_path / "root"
-
-
 def test_what_an_installation_makes_and_a_removal_removes(root: Path, thorvaldc: Command) -> None:
     before = tree(root)
     planned = thorvaldc("install", "good.yaml", "--root", str(root), "--dry-run")
