@@ -40,6 +40,7 @@ def _program(name: str, packages: str, *other_names: str) -> Tool:
 
 
 JOURNAL_REMOTE = Path("/lib/systemd/systemd-journal-remote")
+SSHD = Path("/usr/sbin/sshd")
 IGNITION = Path("/usr/lib/ruby/ignition")
 TOOLS = (
     _program("make", "make"),
@@ -70,6 +71,11 @@ TOOLS = (
         "journalctl",
         "systemd systemd-journal-remote",
         lambda: bool(shutil.which("journalctl")) and JOURNAL_REMOTE.exists(),
+    ),
+    Tool(  # reaches the computer of a robot
+        "ssh-keygen",
+        "openssh-client openssh-server",
+        lambda: all(map(shutil.which, ("ssh", "ssh-keygen"))) and SSHD.exists(),
     ),
     _program("shellcheck", "shellcheck"),  # reads the generated shell script
     _program("chromium", "chromium", "google-chrome"),  # opens the generated web page

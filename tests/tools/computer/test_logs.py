@@ -10,6 +10,7 @@ import pytest
 
 from tests.cli.conftest import GOOD, Command
 from tests.outside_tools import JOURNAL_REMOTE, require
+from tests.tools.computer.conftest import Programs
 
 MACHINE = "0123456789abcdef" * 2
 ENTRY = """\
@@ -32,14 +33,6 @@ def journal(root: Path, thorvaldc: Command) -> Path:
     path = root / "var/log/journal" / MACHINE / "system.journal"
     path.parent.mkdir(parents=True)
     return path
-
-
-def fake_journalctl(folder: Path, monkeypatch: pytest.MonkeyPatch, status: int = 0) -> None:
-    folder.mkdir()
-    program = folder / "journalctl"
-    program.write_text(f'#!/bin/sh\necho "$*"\nexit {status}\n', encoding="utf-8")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", str(folder), prepend=os.pathsep)
 
 
 def test_the_journal_of_a_computer_is_read(
@@ -66,14 +59,13 @@ def test_journalctl_is_asked_for_the_units_of_all_robots(
     root: Path,
     journal: Path,
     thorvaldc: Command,
+    programs: Programs,
     capfd: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     journal.touch()
     Path("good.yaml").write_text(GOOD.replace("name: good", "name: better"), encoding="utf-8")
     thorvaldc("install", "good.yaml", "--root", str(root))
-    fake_journalctl(tmp_path / "bin", monkeypatch)
+    programs(journalctl='echo "$*"')
     units = "--unit=thorvaldc-better.service --unit=thorvaldc-good.service"
     assert thorvaldc("logs", "--root", str(root)).status == 0
     assert capfd.readouterr().out == f"--no-pager --lines=200 {units} --root={root}\n"
@@ -82,7 +74,12 @@ def test_journalctl_is_asked_for_the_units_of_all_robots(
 
 
 def test_what_is_missing_is_named(
-    root: Path, journal: Path, thorvaldc: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    root: Path,
+    journal: Path,
+    thorvaldc: Command,
+    programs: Programs,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def refused(*words: str) -> tuple[int, str]:
         outcome = thorvaldc("logs", *words, "--root", str(root))
@@ -97,7 +94,7 @@ def test_what_is_missing_is_named(
     status, text = refused("goood")
     assert (status, "did you mean `good`?" in text) == (2, True)
     journal.touch()
-    fake_journalctl(tmp_path / "bin", monkeypatch, status=1)
+    programs(journalctl="exit 1")
     assert refused() == (3, "error: journalctl ended with status 1\n")
     with monkeypatch.context() as patch:
         patch.setattr(os, "access", lambda *_: False)  # root may read everything
