@@ -17,6 +17,17 @@ from tests.outside_tools import SSHD, require
 from thorvaldc import __version__
 
 
+def tree(root: Path) -> dict[str, str]:
+    """Returns each file and link of a folder with its content or target."""
+    return {
+        path.relative_to(root).as_posix(): os.readlink(path)
+        if path.is_symlink()
+        else path.read_text(encoding="utf-8", errors="replace")
+        for path in sorted(root.rglob("*"))
+        if path.is_symlink() or path.is_file()
+    }
+
+
 @pytest.fixture
 def root(tmp_path: Path, thorvaldc: Command) -> Path:
     """The file system of a computer, and a folder with a robot of its own."""
@@ -48,13 +59,13 @@ AuthorizedKeysFile {folder}/key.pub
 StrictModes no
 UsePAM no
 PidFile none
-SetEnv HOME={folder}/home PATH={folder}/bin:{path}
+SetEnv HOME={folder}/home TMPDIR={folder}/tmp PATH={folder}/bin:{path}
 """
 FAR_PROGRAM = """\
 #!/bin/sh
 if [ "$1" = --version ]; then echo thorvaldc {version}; exit; fi
 command=$1; shift
-cd / && PYTHONPATH={source} exec {python} -m thorvaldc "$command" --root {root} "$@"
+PYTHONPATH={source} exec {python} -m thorvaldc "$command" --root {root} "$@"
 """
 
 
@@ -85,6 +96,7 @@ def far(tmp_path: Path, root: Path, programs: Programs) -> Path:
     require("ssh-keygen")
     folder = tmp_path / "far"
     (folder / "home").mkdir(parents=True)
+    (folder / "tmp").mkdir()
     for name in ("host_key", "key"):
         command = ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(folder / name)]
         subprocess.run(command, check=True)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import Command
-from tests.tools.computer.conftest import Programs, install_far_program, write_program
+from tests.cli.conftest import GOOD, Command
+from tests.tools.computer.conftest import Programs, install_far_program, tree, write_program
 from thorvaldc import __version__
 
 
@@ -120,4 +121,58 @@ def test_without_ssh(thorvaldc: Command, tmp_path: Path, monkeypatch: pytest.Mon
     outcome = thorvaldc("logs", "--host", "robot")
     assert (outcome.status, "there is no ssh: install" in outcome.err) == (3, True)
     both = thorvaldc("status", "--host", "robot", "--root", str(tmp_path))
-    assert (both.status, "--host reads the file system" in both.err) == (2, True)
+    assert (both.status, "--host is for the file system" in both.err) == (2, True)
+
+
+def test_a_far_installation_is_as_a_local_one(
+    far: Path, root: Path, thorvaldc: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a library above the robot file, and one from the cache of archives."""
+    install_far_program(far, root)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    Path("project").mkdir()
+    monkeypatch.chdir("project")
+    for shelf in ("../shelf", "packed"):
+        thorvaldc("modules", "new", f"tool/{shelf.strip('./')}", "--library", shelf)
+    shutil.make_archive("packed", "gztar", "packed")
+    shutil.rmtree("packed")
+    mount = "mount: {parent: frame, xyz: [0, 0, 0.3]}"
+    text = GOOD.replace(
+        "modules:",
+        f"library: [../shelf, {{archive: packed.tar.gz}}]\nmodules:\n"
+        f"  one: {{type: tool/shelf, {mount}}}\n  two: {{type: tool/packed, {mount}}}\n",
+        1,
+    )
+    Path("good.yaml").write_text(text, encoding="utf-8")
+    assert thorvaldc("modules", "fetch", "good.yaml").status == 0
+    (tmp_path / "local/etc").mkdir(parents=True)
+    local = thorvaldc("install", "good.yaml", "--root", str(tmp_path / "local"))
+    assert local.status == 0, local.err
+    planned = thorvaldc("install", "good.yaml", "--host", "robot", "--dry-run")
+    assert (planned.status, tree(root)) == (0, {})
+    outcome = thorvaldc("install", "good.yaml", "--host", "robot")
+    assert outcome.status == 0, outcome.err
+    assert tree(root) == tree(tmp_path / "local")
+    assert any(path.endswith("packed.tar.gz") for path in tree(root))
+    assert any("/libraries/" in path for path in tree(root))
+    assert list((far / "tmp").iterdir()) == []
+
+
+def test_a_far_installation_that_is_refused(far: Path, root: Path, thorvaldc: Command) -> None:
+    """Nothing is installed of files of which some are missing, or without rights."""
+    install_far_program(far, root)
+    write_program(far / "bin/id", "#!/bin/sh\necho 1000\n")
+    write_program(far / "bin/sudo", "#!/bin/sh\nexit 1\n")
+    refused = thorvaldc("install", "good.yaml", "--host", "robot")
+    assert (refused.status, "sudo asks for a password on robot" in refused.err) == (3, True)
+    write_program(far / "bin/sudo", '#!/bin/sh\nshift; exec "$@"\n')
+    # tar(1) says nothing of an archive that ends between two files.
+    first = 512 * (1 + -(-len(GOOD) // 512))
+    write_program(far / "bin/tar", f'#!/bin/sh\nhead --bytes {first} | /bin/tar "$@"\n')
+    cut = thorvaldc("install", "good.yaml", "--host", "robot")
+    assert (cut.status, "not all files came to robot" in cut.err) == (3, True)
+    assert tree(root) == {}
+    assert list((far / "tmp").iterdir()) == []
+    (far / "bin/tar").unlink()
+    assert thorvaldc("install", "good.yaml", "--host", "robot").status == 0
+    assert "etc/thorvaldc/good/current" in tree(root)

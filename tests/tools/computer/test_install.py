@@ -19,22 +19,12 @@ import pytest
 
 from tests.child_process import ChildProcess
 from tests.cli.conftest import GOOD, Command
+from tests.tools.computer.conftest import tree
 from thorvaldc.tools.computer.installed_versions import Computer
 
 NAME = "/etc/thorvaldc/good"
 TOP = "  top: {type: tool/plate, mount: {parent: frame, xyz: [0, 0, 0.3]}}\n"
 UNIT = "/etc/systemd/system/thorvaldc-good.service"
-
-
-def tree(root: Path) -> dict[str, str]:
-    """Returns each file and link of a folder with its content or target."""
-    return {
-        path.relative_to(root).as_posix(): os.readlink(path)
-        if path.is_symlink()
-        else path.read_text(encoding="utf-8")
-        for path in sorted(root.rglob("*"))
-        if path.is_symlink() or path.is_file()
-    }
 
 
 def read(root: Path, path: str) -> str:

@@ -6,11 +6,14 @@ may compare the clocks.  Each command is run over a connection of its own, with 
 
 from __future__ import annotations
 
+import io
 import re
 import shlex
 import subprocess
+import tarfile
 import tempfile
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import IO
 
@@ -37,6 +40,19 @@ _FIND = (
     f'if [ -x "$program" ]; then echo "{_MARK}$program"; '
     'echo "$("$program" --version </dev/null)"; '  # an empty line of a broken program
     f"while read -r line; do date +%s.%N; done; exit 0; fi; done; exit {NO_PROGRAM}"
+)
+NO_RIGHTS, INCOMPLETE = 126, 125
+"""Exit status of a far installation without root, and without all files."""
+_COMPLETE = "complete"
+# Without its last file, the archive was cut off: tar(1) may take that for the end.
+_INSTALL = (
+    'program="$1"; place="$2"; file="$3"; shift 3; folder="$(mktemp -d)" || '
+    f'exit {INCOMPLETE}; trap "rm -rf $folder" EXIT; trap "exit {INCOMPLETE}" HUP INT TERM; '
+    f'tar -x -f - -C "$folder" && [ -f "$folder/{_COMPLETE}" ] && cd "$folder/$place" || '
+    f"exit {INCOMPLETE}; "
+    'set -- env XDG_CACHE_HOME="$folder/cache" "$program" install "$@" -- "$file"; '
+    'if [ "$(id -u)" = 0 ]; then "$@"; '
+    f'else sudo -n true || exit {NO_RIGHTS}; sudo -n "$@"; fi'
 )
 
 
@@ -81,6 +97,29 @@ class FarComputer:
         )
         text = run.stdout.decode(errors="replace")
         return self._checked(run.returncode), text.partition(f"{_MARK}\n")[2]
+
+    def install(self, files: Mapping[str, bytes], folder: str, robot_file: str, *words: str) -> int:
+        """Copies files to a fresh folder there, calls `thorvaldc install` there as root with the
+        robot file, which is in a folder of the files, and words, and returns its exit status.
+
+        Raises ``OutsideError`` if a part of the files came there, or if root does not permit it.
+        """
+        packed = io.BytesIO()
+        with tarfile.open(fileobj=packed, mode="w") as archive:
+            for name, data in {**files, _COMPLETE: b""}.items():
+                entry = tarfile.TarInfo(name)
+                entry.size = len(data)
+                archive.addfile(entry, io.BytesIO(data))
+        script = ("sh", "-c", _INSTALL, "sh", self.program, folder, robot_file, *words)
+        status = self._checked(_ssh(self.host, *script, stdin=packed.getvalue()).returncode)
+        if status == INCOMPLETE:
+            raise OutsideError(f"not all files came to {self.host}; nothing was installed")
+        if status == NO_RIGHTS:
+            raise OutsideError(
+                f"only root may install, and sudo asks for a password on {self.host}: use"
+                " --host root@..., or let sudo need no password there"
+            )
+        return status
 
     def _checked(self, status: int) -> int:
         if status == NO_CONNECTION or status < 0:
@@ -139,10 +178,12 @@ def reach(host: str, *, compare_clocks: bool = False) -> FarComputer:
     return FarComputer(host, program, clock)
 
 
-def _ssh(host: str, *words: str, stdout: int | None = None) -> subprocess.CompletedProcess[bytes]:
+def _ssh(
+    host: str, *words: str, stdin: bytes = b"", stdout: int | None = None
+) -> subprocess.CompletedProcess[bytes]:
     """Runs a program there with words, which no shell changes."""
     command = [*SSH, "--", host, shlex.join(words)]
-    return subprocess.run(command, stdin=subprocess.DEVNULL, stdout=stdout, check=False)
+    return subprocess.run(command, input=stdin, stdout=stdout, check=False)
 
 
 def _clock_difference(requests: IO[bytes], answers: IO[bytes]) -> ClockDifference | None:

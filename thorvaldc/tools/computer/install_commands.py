@@ -22,7 +22,7 @@ from thorvaldc.model.settings import AT_START, AUTOMATIC
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
-    from thorvaldc.tools.computer.installed_versions import Computer
+    from thorvaldc.tools.computer.installed_versions import Computer, Version
 
 Root = Annotated[
     str,
@@ -33,17 +33,29 @@ Root = Annotated[
         show_default="this computer",
     ),
 ]
+Host = Annotated[
+    str,
+    typer.Option(
+        "--host", metavar="HOST", help="Computer of the robot, by ssh: robot or user@10.0.0.2."
+    ),
+]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the changes and make none.")]
 
 
-def install(file: options.RobotFile, root: Root = "", dry_run: DryRun = False) -> int:
+def install(
+    file: options.RobotFile, host: Host = "", root: Root = "", dry_run: DryRun = False
+) -> int:
     from thorvaldc.backends.computer import service_of
     from thorvaldc.tools.computer.installed_versions import Computer, version_of
 
+    if host:
+        check_host(host, root)
     # The service builds the file without options, and root runs no program of others (`--trust`).
     loaded = load_robot(file, [], False)
     robot, computer = loaded.robot, Computer(root_folder(root))
     version = version_of(robot, Path(file), loaded.sources, computer.root)
+    if host:
+        return _install_there(host, version, Path(file).name, dry_run)
     plan = computer.plan(version)
     if not plan:
         message(f"{robot.name} is installed, and nothing has changed")
@@ -73,6 +85,17 @@ def install(file: options.RobotFile, root: Root = "", dry_run: DryRun = False) -
     return DONE
 
 
+def _install_there(host: str, version: Version, file: str, dry_run: bool) -> int:
+    """Lets a far ``thorvaldc install`` make the same version of the same files."""
+    from thorvaldc.tools.computer.far_computer import reach
+    from thorvaldc.tools.computer.installed_versions import CACHE
+
+    sources = ("files/", f"{CACHE}/")
+    files = {name: data for name, data in version.files.items() if name.startswith(sources)}
+    folder, words = f"files/{version.robot_folder}", ["--dry-run"] if dry_run else []
+    return reach(host).install(files, folder, file, *words)
+
+
 def uninstall(
     name: Annotated[
         str, typer.Argument(metavar="NAME", help="Name in /etc/thorvaldc.", show_default=False)
@@ -98,6 +121,15 @@ def uninstall(
     if not root:
         _reload()
     return DONE
+
+
+def check_host(host: str, root: str) -> None:
+    """Raises ``typer.BadParameter`` if the option ``--host`` names no computer, or beside
+    ``--root``."""
+    from thorvaldc.tools.computer import far_computer
+
+    far_computer.check_host(host)
+    options.refuse_options({"--root": root}, "--host is for the file system of that computer")
 
 
 def check_installed(name: str, names: Sequence[str]) -> None:

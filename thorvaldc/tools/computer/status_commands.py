@@ -9,19 +9,19 @@ import typer
 from thorvaldc.cli import options
 from thorvaldc.cli.diagnostic_output import message, print_json
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.tools.computer.install_commands import Root, check_installed, root_folder
+from thorvaldc.tools.computer.install_commands import (
+    Host,
+    Root,
+    check_host,
+    check_installed,
+    root_folder,
+)
 
 if TYPE_CHECKING:
     from thorvaldc.tools.computer.installed_versions import Computer
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="Name in /etc/thorvaldc; default: all.")]
 Follow = Annotated[bool, typer.Option("--follow", help="Go on with what it writes from now on.")]
-Host = Annotated[
-    str,
-    typer.Option(
-        "--host", metavar="HOST", help="Computer of the robot, by ssh: robot or user@10.0.0.2."
-    ),
-]
 
 
 def status(name: Name = "", host: Host = "", root: Root = "", json: options.Json = False) -> int:
@@ -52,7 +52,7 @@ def _far_statuses(host: str, name: str, root: str) -> tuple[int, list[Any]]:
     from thorvaldc.diagnostics.files import read_json
     from thorvaldc.tools.computer.far_computer import reach
 
-    _check_host(host, root)
+    check_host(host, root)
     far = reach(host, compare_clocks=True)
     exit_status, text = far.read("status", "--json", "--", *([name] if name else []))
     if exit_status not in (DONE, INPUT):
@@ -72,7 +72,7 @@ def logs(name: Name = "", host: Host = "", root: Root = "", follow: Follow = Fal
     from thorvaldc.tools.computer.robot_journal import show_journal
 
     if host:
-        _check_host(host, root)
+        check_host(host, root)
         words = ["--follow"] if follow else []
         return reach(host).show("logs", *words, "--", *([name] if name else []))
     computer = Computer(root_folder(root))
@@ -81,13 +81,6 @@ def logs(name: Name = "", host: Host = "", root: Root = "", follow: Follow = Fal
         return INPUT
     show_journal(units, computer.root, follow=follow)
     return DONE
-
-
-def _check_host(host: str, root: str) -> None:
-    from thorvaldc.tools.computer.far_computer import check_host
-
-    check_host(host)
-    options.refuse_options({"--root": root}, "--host reads the file system of that computer")
 
 
 def _installed(computer: Computer, name: str) -> list[str]:
