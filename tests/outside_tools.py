@@ -39,6 +39,8 @@ def _program(name: str, packages: str, *other_names: str) -> Tool:
     return Tool(name, packages, lambda: any(map(shutil.which, (name, *other_names))))
 
 
+JOURNAL_REMOTE = Path("/lib/systemd/systemd-journal-remote")
+SSHD = Path("/usr/sbin/sshd")
 IGNITION = Path("/usr/lib/ruby/ignition")
 TOOLS = (
     _program("make", "make"),
@@ -66,6 +68,16 @@ TOOLS = (
     _program("bash", "bash"),  # completes commands
     _program("systemd-analyze", "systemd"),  # reads the generated units
     _program("systemd-nspawn", "systemd-container"),  # starts the installed service
+    Tool(  # writes a journal, and reads it
+        "journalctl",
+        "systemd systemd-journal-remote",
+        lambda: bool(shutil.which("journalctl")) and JOURNAL_REMOTE.exists(),
+    ),
+    Tool(  # reaches the computer of a robot
+        "ssh-keygen",
+        "openssh-client openssh-server",
+        lambda: all(map(shutil.which, ("ssh", "ssh-keygen"))) and SSHD.exists(),
+    ),
     _program("shellcheck", "shellcheck"),  # reads the generated shell script
     _program("chromium", "chromium", "google-chrome"),  # opens the generated web page
     _program("npm", "npm nodejs"),  # builds the viewer; installs axe-core

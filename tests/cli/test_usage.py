@@ -58,6 +58,7 @@ WRONG_VALUES = {
     "NAMES": ("x", ""),
     "PATH=VALUES": ("x", "=1"),
     "PATH=VALUE": ("x", "=1"),
+    "HOST": ("-oProxyCommand=x", "x@-oProxyCommand=x", "a b", "$(x)", "ssh://x"),
     "OUT.png": ("out.xyz",),
     "OUT.mp4": ("out.xyz",),
     "OUT.csv": ("out.xyz",),

@@ -20,7 +20,7 @@ BATCH = 10
 NOT_RUN = {
     *("new", "targets", "schema", "explain", "call", "demo", "teleop", "bus", "render"),
     *("modules show", "modules new", "can monitor", "preview", "lsp", "study run", "study show"),
-    *("can identify", "can commission", "usd", "install", "uninstall", "status"),
+    *("can identify", "can commission", "usd", "install", "uninstall", "status", "logs"),
 }
 
 

@@ -19,22 +19,12 @@ import pytest
 
 from tests.child_process import ChildProcess
 from tests.cli.conftest import GOOD, Command
+from tests.tools.computer.conftest import tree
 from thorvaldc.tools.computer.installed_versions import Computer
 
 NAME = "/etc/thorvaldc/good"
 TOP = "  top: {type: tool/plate, mount: {parent: frame, xyz: [0, 0, 0.3]}}\n"
 UNIT = "/etc/systemd/system/thorvaldc-good.service"
-
-
-def tree(root: Path) -> dict[str, str]:
-    """Returns each file and link of a folder with its content or target."""
-    return {
-        path.relative_to(root).as_posix(): os.readlink(path)
-        if path.is_symlink()
-        else path.read_text(encoding="utf-8")
-        for path in sorted(root.rglob("*"))
-        if path.is_symlink() or path.is_file()
-    }
 
 
 def read(root: Path, path: str) -> str:
@@ -52,16 +42,6 @@ def read(root: Path, path: str) -> str:
             continue
         place = Computer(root).path(os.readlink(place))
     raise AssertionError(path)
-
-
-@pytest.fixture
-def root(tmp_path: Path, thorvaldc: Command) -> Path:
-    """The file system of a computer, and a folder with a robot of its own."""
-    Path("own").mkdir()
-    Path("own/good.yaml").write_text(GOOD, encoding="utf-8")
-    os.chdir("own")
-    (tmp_path / "root/etc").mkdir(parents=True)
-    return tmp_path / "root"
 
 
 def test_what_an_installation_makes_and_a_removal_removes(root: Path, thorvaldc: Command) -> None:

@@ -10,6 +10,9 @@ COMMANDS = (
         "uninstall", "install_commands:uninstall", "Remove an installed robot from its computer."
     ),
     CommandEntry(
-        "status", "install_commands:status", "Show what the installed robots of this computer do."
+        "status", "status_commands:status", "Show what the installed robots of a computer do."
+    ),
+    CommandEntry(
+        "logs", "status_commands:logs", "Show what the services of installed robots have written."
     ),
 )

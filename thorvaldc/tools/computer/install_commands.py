@@ -1,4 +1,4 @@
-"""The commands ``thorvaldc install``, ``uninstall`` and ``status``, on the computer of a robot."""
+"""The commands ``thorvaldc install`` and ``uninstall``, on the computer of a robot."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thorvaldc.cli import options
-from thorvaldc.cli.diagnostic_output import message, print_json
-from thorvaldc.cli.exits import DONE, INPUT, OutsideError, write_errors
+from thorvaldc.cli.diagnostic_output import message
+from thorvaldc.cli.exits import DONE, OutsideError, write_errors
 from thorvaldc.cli.robot_file import load_robot
 from thorvaldc.diagnostics import did_you_mean
 from thorvaldc.model.settings import AT_START, AUTOMATIC
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
-    from thorvaldc.tools.computer.installed_versions import Computer
+    from thorvaldc.tools.computer.installed_versions import Computer, Version
 
 Root = Annotated[
     str,
@@ -33,17 +33,29 @@ Root = Annotated[
         show_default="this computer",
     ),
 ]
+Host = Annotated[
+    str,
+    typer.Option(
+        "--host", metavar="HOST", help="Computer of the robot, by ssh: robot or user@10.0.0.2."
+    ),
+]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the changes and make none.")]
 
 
-def install(file: options.RobotFile, root: Root = "", dry_run: DryRun = False) -> int:
+def install(
+    file: options.RobotFile, host: Host = "", root: Root = "", dry_run: DryRun = False
+) -> int:
     from thorvaldc.backends.computer import service_of
     from thorvaldc.tools.computer.installed_versions import Computer, version_of
 
+    if host:
+        check_host(host, root)
     # The service builds the file without options, and root runs no program of others (`--trust`).
     loaded = load_robot(file, [], False)
-    robot, computer = loaded.robot, Computer(_root(root))
+    robot, computer = loaded.robot, Computer(root_folder(root))
     version = version_of(robot, Path(file), loaded.sources, computer.root)
+    if host:
+        return _install_there(host, version, Path(file).name, dry_run)
     plan = computer.plan(version)
     if not plan:
         message(f"{robot.name} is installed, and nothing has changed")
@@ -67,10 +79,21 @@ def install(file: options.RobotFile, root: Root = "", dry_run: DryRun = False) -
         service = service_of(robot)
         _reload(["systemctl", "restart", service])
         message(
-            f"journalctl -u {service} shows what it does; an interface that was in use gets its new"
-            " name at the next boot"
+            f"`thorvaldc logs {version.name}` shows what it does; an interface that was in use gets"
+            " its new name at the next boot"
         )
     return DONE
+
+
+def _install_there(host: str, version: Version, file: str, dry_run: bool) -> int:
+    """Lets a far ``thorvaldc install`` make the same version of the same files."""
+    from thorvaldc.tools.computer.far_computer import reach
+    from thorvaldc.tools.computer.installed_versions import CACHE
+
+    sources = ("files/", f"{CACHE}/")
+    files = {name: data for name, data in version.files.items() if name.startswith(sources)}
+    folder, words = f"files/{version.robot_folder}", ["--dry-run"] if dry_run else []
+    return reach(host).install(files, folder, file, *words)
 
 
 def uninstall(
@@ -83,8 +106,8 @@ def uninstall(
     from thorvaldc.backends.computer import FOLDER, STATE
     from thorvaldc.tools.computer.installed_versions import Computer, installed_names
 
-    computer = Computer(_root(root))
-    _check_installed(name, installed_names(computer.root))
+    computer = Computer(root_folder(root))
+    check_installed(name, installed_names(computer.root))
     links = computer.links_of(name)
     folder = FOLDER.format(name=name).removesuffix("/current")
     print("\n".join(f"remove {path}" for path in [*links, folder, STATE.format(name=name)]))
@@ -100,38 +123,27 @@ def uninstall(
     return DONE
 
 
-def status(
-    name: Annotated[
-        str, typer.Argument(metavar="NAME", help="Name in /etc/thorvaldc; default: all.")
-    ] = "",
-    root: Root = "",
-    json: options.Json = False,
-) -> int:
-    from thorvaldc.tools.computer.installed_versions import Computer, installed_names
-    from thorvaldc.tools.computer.robot_status import is_well, robot_status, status_lines
+def check_host(host: str, root: str) -> None:
+    """Raises ``typer.BadParameter`` if the option ``--host`` names no computer, or beside
+    ``--root``."""
+    from thorvaldc.tools.computer import far_computer
 
-    computer = Computer(_root(root))
-    names = installed_names(computer.root)
-    if name:
-        _check_installed(name, names)
-    elif not names:
-        message("no robot is installed on this computer")
-    statuses = [robot_status(computer, n, is_live=not root) for n in names if name in ("", n)]
-    if json:
-        print_json(statuses)
-    else:
-        for each in statuses:
-            print("\n".join(status_lines(each)))
-    return DONE if statuses and all(map(is_well, statuses)) else INPUT
+    far_computer.check_host(host)
+    options.refuse_options({"--root": root}, "--host is for the file system of that computer")
 
 
-def _check_installed(name: str, names: Sequence[str]) -> None:
+def check_installed(name: str, names: Sequence[str]) -> None:
+    """Raises ``typer.BadParameter`` if no robot of this name is installed."""
     if name not in names:
         near = did_you_mean(name, names, f"installed are: {', '.join(names) or 'none'}")
         raise typer.BadParameter(f"`{name}` is not installed; {near}", param_hint="NAME")
 
 
-def _root(root: str) -> Path:
+def root_folder(root: str) -> Path:
+    """Returns the folder that the option ``--root`` names.
+
+    Raises ``typer.BadParameter`` if it is none.
+    """
     if root and not Path(root).is_dir():
         raise typer.BadParameter(f"there is no folder {root}", param_hint="'--root'")
     return Path(root or "/")

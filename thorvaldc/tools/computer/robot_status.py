@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import re
 import subprocess
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from thorvaldc.backends.computer import CONTROL, STATE, starts_ros
@@ -30,6 +33,8 @@ def robot_status(computer: Computer, name: str, *, is_live: bool) -> dict[str, A
     - ``ros``: whether the service starts ROS 2, where the base driver has no control channel.
     - ``driver``: result of the service `state` of the base driver, or ``None``.
     - ``driver_error``: why the base driver does not answer.
+    - ``clock``: ``synchronised`` of the clock of this computer, or ``None`` if nobody knows it;
+      empty of another file system.
     """
     current = computer.current(name)
     status: dict[str, Any] = {
@@ -42,6 +47,7 @@ def robot_status(computer: Computer, name: str, *, is_live: bool) -> dict[str, A
         "ros": False,
         "driver": None,
         "driver_error": "",
+        "clock": {"synchronised": _clock_is_synchronised()} if is_live else {},
     }
     for unit, text in computer.units(name).items():
         if is_live:
@@ -74,6 +80,17 @@ def _service(unit: str) -> dict[str, str]:
     return dict(line.split("=", 1) for line in shown.stdout.splitlines() if "=" in line)
 
 
+def _clock_is_synchronised() -> bool | None:
+    """Returns whether a time server sets the clock, as the kernel or systemd-timesyncd says."""
+    command = ["timedatectl", "show", "--property=NTPSynchronized", "--value"]
+    try:
+        shown = subprocess.run(command, capture_output=True, text=True, timeout=10.0, check=True)
+    except (OSError, subprocess.SubprocessError):
+        folder = Path("/run/systemd/timesync")
+        return (folder / "synchronized").exists() if folder.is_dir() else None
+    return {"yes": True, "no": False}.get(shown.stdout.strip())
+
+
 def _driver(channel: str) -> tuple[dict[str, Any] | None, str]:
     from thorvaldc.runtime.control_channel import ControlClient
     from thorvaldc.runtime.service_table import ServiceError
@@ -82,6 +99,8 @@ def _driver(channel: str) -> tuple[dict[str, Any] | None, str]:
         with contextlib.closing(ControlClient(channel)) as client:
             return client.call("state"), ""
     except (OSError, ServiceError):
+        if Path(channel).exists() and not os.access(channel, os.W_OK):
+            return None, "only root and the user of the service may ask the base driver"
         return None, "the base driver does not run"
 
 
@@ -114,6 +133,7 @@ def status_lines(status: dict[str, Any]) -> list[str]:
             f"  service {service.get('ActiveState')} ({service.get('SubState')}), last start"
             f" {since}, {service.get('NRestarts', '0')} restarts, result {service.get('Result')}"
         )
+    lines += _clock_lines(status["clock"])
     if driver is None:
         return [*lines, f"  {status['driver_error']}"]
     state = "armed" if driver["armed"] else f"not armed: {driver['held'] or 'no reason'}"
@@ -127,3 +147,18 @@ def status_lines(status: dict[str, Any]) -> list[str]:
         if values.get("charge") is not None
     ]
     return lines
+
+
+def _clock_lines(clock: dict[str, Any]) -> Iterator[str]:
+    """Yields whether a clock is synchronised, and how it differs from that of this computer."""
+    if not clock:
+        return
+    states = {True: "synchronised", False: "NOT synchronised", None: "unknown synchronisation"}
+    text = f"  clock: {states[clock.get('synchronised')]}"
+    if "ahead" in clock:
+        side = "behind" if clock["ahead"] < 0.0 else "ahead of"
+        text += (
+            f", {abs(clock['ahead']):.3f} s {side} the clock of this computer"
+            f" (± {clock['uncertainty']:.3f} s)"
+        )
+    yield text
