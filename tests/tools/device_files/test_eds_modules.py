@@ -49,7 +49,7 @@ def import_device(command: Command, type_name: str, text: str) -> tuple[str, str
 
 def bus_of(text: str, node_id: int = 5) -> Bus:
     bench = Bench()
-    bench.add("my/device", node_id, text=text)
+    bench.add("my/device", node_id, text=re.sub(r"  eds: .*\n", "", text))
     (bus,) = bench.build()
     assert not list(bench.report)
     return bus
@@ -137,6 +137,7 @@ def test_the_unit_of_the_velocity_must_be_stated(thorvaldc: Command) -> None:
         ("Velocity actual value\nObjectType=0x7\nDataType=0x0004", "V\nDataType=3", "(integer16)"),
         ("0x00000185", "0x00000001", "0x6502 (neither mode 3 nor 9)"),
         ("=Entry 1\nObjectType=0x7\nDataType=0x0007\nAccessType=rw", "=E\nDataType=7", "0x1600"),
+        ("[1005]", "[1006]", "0x1005 (missing)"),
     ],
 )
 def test_a_drive_that_the_driver_cannot_use_keeps_its_pdos(
