@@ -180,6 +180,19 @@ def test_a_pdo_that_the_device_does_not_have_is_two_errors(tmp_path: Path) -> No
     ]
 
 
+def test_a_device_with_lss_reports_its_whole_identity(tmp_path: Path) -> None:
+    module = MODULE.replace("  product_code", "  revision_number: 1\n  lss: true\n  product_code")
+    objects = OBJECTS.replace("1018sub4 ro 7 0", "1018sub3 ro 7 1")
+    with_serial = objects.replace("1400sub1", "1018sub4 ro 7\n1400sub1")
+    assert check(tmp_path / "a", module, with_serial) == []
+    of_robot, error = check(tmp_path / "b", module, objects)
+    assert "has no object 0x1018:4, which `serial_number` needs" in error.message
+    assert error.span is not None
+    assert module.splitlines()[error.span.line - 1] == "  lss: true"
+    assert of_robot.span is not None
+    assert of_robot.span.file.endswith("robot.yaml")
+
+
 def test_a_tpdo_without_an_event_timer_needs_none(tmp_path: Path) -> None:
     module = MODULE.replace("period: 100 ms", "period: on_demand")
     assert check(tmp_path, module, OBJECTS.replace("1800sub5 rw 6 0\n", "")) == []

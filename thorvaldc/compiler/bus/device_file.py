@@ -17,7 +17,7 @@ from typing import Any
 from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, limited_worker
 from thorvaldc.compiler.source.input_file import read_bytes
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.model.bus import OBJECT_TYPES
+from thorvaldc.model.bus import OBJECT_TYPES, DescribedObject
 
 MAX_BYTES = 4_000_000
 MAX_REMEMBERED = 16
@@ -105,6 +105,27 @@ class Entry:
             return number - (1 << bits) if 1 << bits - 1 <= number < 1 << bits else number
         return number + (1 << bits) if -(1 << bits - 1) <= number < 0 else number
 
+    def limits(self, node_id: int) -> tuple[int | None, int | None]:
+        """Returns the least and the greatest value, each ``None`` if the file does not limit it.
+
+        Some files state the limits 0 and 0, or exchanged limits, instead of none.
+        """
+        low, high = self.number("low", node_id), self.number("high", node_id)
+        if low is not None and high is not None and (low > high or low == high == 0):
+            return None, None
+        return low, high
+
+    @property
+    def described(self) -> DescribedObject:
+        low, high = (self.fields[key] for key in ("low", "high"))
+        depends = any(limit is not None and limit[1] for limit in (low, high))
+        value, adds_node_id = self.number("value", 0), bool((self.fields["value"] or (0, 0))[1])
+        limits = (None, None) if depends else self.limits(0)
+        access = self.fields["access"]
+        return DescribedObject(
+            self.index, self.subindex, self.type or "", access, value, adds_node_id, *limits
+        )
+
 
 class Dictionary:
     """The object dictionary of a file.
@@ -137,6 +158,11 @@ class Dictionary:
         entry = self.get(index, subindex)
         line = entry.fields["line"] if entry is not None else 1
         return Span(self.file, line, 1, line, 2)
+
+    @property
+    def described(self) -> tuple[DescribedObject, ...]:
+        """All entries, sorted by index and subindex."""
+        return tuple(self._entries[key].described for key in sorted(self._entries))
 
     @property
     def profile(self) -> int:

@@ -1,9 +1,9 @@
 """Checks what a module states of a CANopen device against the EDS file of its manufacturer.
 
 The key `eds` in the section `can` of a module document names the file, which stands beside the
-module document.  ``check_against_eds`` reports what the device would refuse or report otherwise:
-values that `thorvaldc can flash` and the generated files write, the identity, and the objects in
-PDOs.
+module document; ``dictionary_of`` reads it.  ``check_against_eds`` reports what the device would
+refuse or report otherwise: values that `thorvaldc can flash` and the generated files write, the
+identity, and the objects in PDOs.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from thorvaldc.compiler.bus.device_sections import (
 )
 from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY, FILE
 from thorvaldc.compiler.source.input_file import check_no_link_outside, report_missing
-from thorvaldc.compiler.source.node import Node as DocumentNode
 from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import FrameDefinition, Node, ObjectValue
@@ -39,11 +38,37 @@ _SERIAL_NUMBER = (IDENTITY, 4)
 _CORRECT = "correct the module; or the EDS, if the manual of the device says otherwise"
 
 
+def dictionary_of(device: Device, report: Report) -> Dictionary | None:
+    """Returns the object dictionary in the EDS file of a device, or ``None`` if there is none.
+
+    Reports why a file cannot be read.
+    """
+    named, module = device.can.get("eds"), device.scope.module
+    if named is None or module is None:
+        return None
+    # Only a robot with an EDS file loads the module that starts worker processes.
+    from thorvaldc.compiler.bus.device_file import read_eds
+
+    file = str(named.value)
+    path, display = module.folder / file, f"{module.display.removesuffix(FILE)}{file}"
+    if not path.is_file():
+        report_missing("file-not-found", module.folder, named, SUFFIXES, report)
+        return None
+    is_builtin = module.display.startswith(BUILTIN_LIBRARY)
+    if not is_builtin and not check_no_link_outside(
+        path, module.library_folder, display, report, named.span
+    ):
+        return None
+    device.scope.library.add_file(display, path)
+    return read_eds(path, display, report)
+
+
 def check_against_eds(
     device: Device,
     node: Node,
     frames: Sequence[FrameDefinition],
     objects: Sequence[tuple[ObjectValue, Span]],
+    dictionary: Dictionary,
     report: Report,
 ) -> Sequence[tuple[ObjectValue, Span]]:
     """Reports contradictions between a module and the EDS file that it names.
@@ -52,17 +77,15 @@ def check_against_eds(
 
     - ``node``, ``frames``: node of the device in the model, and its frames.
     - ``objects``: entries of the object dictionary as ``objects_of`` returns them.
+    - ``dictionary``: what the EDS file states, as ``dictionary_of`` returns it.
     """
-    named = device.can.get("eds")
-    dictionary = _dictionary(device, named, report) if named is not None else None
-    if dictionary is None:
-        return objects
     objects = [(o, span) for o, span in objects if not _is_needless(o, dictionary)]
     check = _Check(device, node, dictionary, report)
     absent: dict[int, None] = {}
     for required, span in objects:
         index = required.index
-        if required.value is None or index in absent:
+        is_needed = required.value is not None or (node.lss and index == IDENTITY)
+        if index in absent or not is_needed:
             continue
         if index not in dictionary.indices:
             absent[index] = None
@@ -80,36 +103,17 @@ def _is_needless(required: ObjectValue, dictionary: Dictionary) -> bool:
     return is_off and dictionary.get(required.index, EVENT_TIMER) is None
 
 
-def _dictionary(device: Device, named: DocumentNode, report: Report) -> Dictionary | None:
-    """Returns the object dictionary of the file, or ``None`` and reports why it cannot be read."""
-    # Only a robot with an EDS file loads the module that starts worker processes.
-    from thorvaldc.compiler.bus.device_file import read_eds
-
-    module = device.scope.module
-    if module is None:
-        return None
-    file = str(named.value)
-    path, display = module.folder / file, f"{module.display.removesuffix(FILE)}{file}"
-    if not path.is_file():
-        report_missing("file-not-found", module.folder, named, SUFFIXES, report)
-        return None
-    is_builtin = module.display.startswith(BUILTIN_LIBRARY)
-    if not is_builtin and not check_no_link_outside(
-        path, module.library_folder, display, report, named.span
-    ):
-        return None
-    device.scope.library.add_file(display, path)
-    return read_eds(path, display, report)
-
-
 def _place(device: Device, required: ObjectValue, span: Span) -> Span:
     """Returns the source span of the key from which a value follows."""
     if span != device.can.where:
         return span
     address = device.address
-    if (required.index, required.subindex) == _SERIAL_NUMBER and address is not None:
+    is_serial = (required.index, required.subindex) == _SERIAL_NUMBER
+    if is_serial and required.value is not None and address is not None:
         return (address.get("serial") or address).where
     key = device.can.get(required.name) or device.can.get("canopen")
+    if required.value is None:
+        key = device.can.get("lss")  # identifies a device by all four parts of its identity
     if required.index == SYNC_COB_ID:
         keys = (frame.get("synchronous") for frame in entries(device.can.get("frames")).values())
         key = next(filter(None, keys), key)
@@ -128,7 +132,9 @@ class _Check(NamedTuple):
         if entry is None:
             self._absent(required.index, required.subindex, f"`{required.name}`", span)
             return
-        number, stated = required.value or 0, entry.number("value", self.node.id)
+        number, stated = required.value, entry.number("value", self.node.id)
+        if number is None:
+            return  # the device must only have it
         if required.access == "ro":
             is_serial = (required.index, required.subindex) == _SERIAL_NUMBER
             if stated is not None and stated != number and not is_serial:
@@ -142,9 +148,7 @@ class _Check(NamedTuple):
                 self._conflict(entry, text, required, span)
             return
         self._size(entry, required, span)
-        low, high = (entry.number(key, self.node.id) for key in ("low", "high"))
-        if low is not None and high is not None and (low > high or low == high == 0):
-            return  # some files state such limits instead of none
+        low, high = entry.limits(self.node.id)
         if (low is not None and number < low) or (high is not None and number > high):
             limits = [f"at least {_shown(low)}"] if low is not None else []
             limits += [f"at most {_shown(high)}"] if high is not None else []

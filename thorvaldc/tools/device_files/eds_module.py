@@ -90,7 +90,8 @@ def _can(dictionary: Dictionary, type_name: str) -> dict[str, str]:
     device_type = dictionary.number(0x1000)
     if device_type is not None and 0 <= device_type < 1 << 32:
         can["device_type"] = f"{device_type:#x}  # 0x1000:0"
-    if dictionary.info.get("lss_supported", "0").strip() == "1":
+    has_identity = all(dictionary.get(0x1018, subindex) for subindex in (1, 2, 3, 4))
+    if dictionary.info.get("lss_supported", "0").strip() == "1" and has_identity:
         can["lss"] = "true  # LSS_Supported"
     services = ["sdo"]
     services += ["heartbeat"] if dictionary.get(0x1017) else []
