@@ -22,7 +22,15 @@ RESET, UNKNOWN, NO_SUBINDEX, READ_ONLY, WRITE_ONLY, RANGE = (
     0x06010001,
     0x06090030,
 )
-OWN = "2004 rw 6 1234 <10 >2000\n2005 ro 3 -7\n2006 wo 5 1\n2007 ro 9\n1010sub1 rw 7 1\n"
+OWN = """\
+2004 rw 6 1234 <10 >2000
+2005 ro 3 -7
+2006 wo 5 1
+2007 ro 9
+2008 rw 1B 5 <1 >9
+1008 const 7 5
+1010sub1 rw 7 1
+"""
 
 
 def robot(folder: Path, module: str = MODULE) -> Robot:
@@ -47,6 +55,8 @@ def test_an_object_has_the_default_value_of_the_eds(master: Master) -> None:
     assert master.number(5, 0x1018, 1) == 0x123
     assert master.number(5, 0x1018, 4) == 0x77
     assert master.read(5, 0x2007) == b""
+    assert master.read(5, 0x2008) == b""  # of 64 bits
+    assert master.read(5, 0x1008) == b"CANopen device"  # the EDS states a number
     assert len(master.read(6, 0x2000)) == 2
     assert [master.number(node, 0x1400, 1) for node in (5, 6)] == [0x205, 0x206]
     assert master.number(5, 0x1600, 1) == 0x50008

@@ -224,25 +224,28 @@ def described_objects(
 
     Entries that only the EDS has are added to ``objects``, with their default values.  The others
     get type, access, limits, and in the communication profile the default value of the EDS; they
-    keep the behaviour of the simulated device.
+    keep the behaviour of the simulated device.  Texts, and numbers of types that a module does not
+    have, are empty texts.
     """
     served = ObjectDictionary(length_aborts=objects.length_aborts)
     for each in described:
         key = (each.index, each.subindex)
         is_new = key not in objects
+        is_number = bool(each.type) and (is_new or objects[key].kind != "text")
         entry = objects.add(*key, Entry("text", "", "rw")) if is_new else objects[key]
-        if each.type:
-            entry.kind = _KINDS[each.type]
+        served.add(*key, entry)
         if each.access and entry.read is None:
             entry.access = each.access if each.access in ("ro", "wo", "const") else "rw"
+        if not is_number:
+            continue
+        entry.kind = _KINDS[each.type]
         entry.lower = each.lower if entry.lower is None else entry.lower
         entry.upper = each.upper if entry.upper is None else entry.upper
-        if is_new and each.type:
+        if is_new:
             entry.value, entry.stored = 0, entry.access == "rw"
         has_default = is_new or (each.index in _OF_COMMUNICATION and each.index != _IDENTITY)
         if has_default and each.value is not None:
             entry.value = each.value + (node_id if each.adds_node_id else 0)
-        served.add(*key, entry)
     return served
 
 
