@@ -250,6 +250,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV561", "computer-device-twice", "two devices of the computer have the same name"),
     _error("TV580", "can-signal-floating-point", "a floating-point signal has a wrong format"),
     _error("TV581", "bus-not-canopen", "no node of a bus can be configured over CANopen"),
+    _error("TV582", "can-eds-conflict", "the EDS of a device contradicts its module"),
     # 6xx: backends
     _note("TV601", "urdf-only-element", "an element of an extra is written to URDF only"),
     _error("TV602", "control-joint-unknown", "<ros2_control> names a joint that does not exist"),

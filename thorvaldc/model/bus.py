@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import quantities as si
@@ -193,6 +193,27 @@ class ObjectValue:
 
 
 @dataclass(frozen=True, slots=True)
+class DescribedObject:
+    """An entry of the object dictionary of a device, as the EDS of the device describes it.
+
+    - ``index``, ``subindex``: address of the entry.
+    - ``type``: name of the data type, one of ``OBJECT_TYPES``, or empty for another type.
+    - ``access``: access as in the EDS, such as ``ro`` or ``rww``, or empty.
+    - ``value``: value of a new device, or ``None``. The node id is added if ``adds_node_id``.
+    - ``lower``, ``upper``: limits of the value, or ``None``.
+    """
+
+    index: int
+    subindex: int
+    type: str
+    access: str
+    value: int | None
+    adds_node_id: bool
+    lower: int | None
+    upper: int | None
+
+
+@dataclass(frozen=True, slots=True)
 class Node:
     """A device on a CAN bus.
 
@@ -221,6 +242,8 @@ class Node:
     - ``serial``: serial number as the robot file states it, or ``None``.
     - ``channels``: the channels of a motor controller.
     - ``properties``: values of the device in SI units, by name.
+    - ``described``: object dictionary of the device after its EDS, or empty if its module names
+      none. Only the simulated device needs it; the JSON text of the model omits it.
     """
 
     name: str
@@ -244,6 +267,7 @@ class Node:
     objects: tuple[ObjectValue, ...] = ()
     command_watchdog: si.Seconds | None = None
     watchdog_coasts: bool = False
+    described: tuple[DescribedObject, ...] = field(default=(), compare=False, repr=False)
 
     @property
     def is_canopen(self) -> bool:

@@ -57,8 +57,9 @@ KINDS: dict[str, type[Robot | Fleet]] = {"Robot": Robot, "Fleet": Fleet}
 SHAPES: dict[str, type] = {shape.__name__: shape for shape in typing.get_args(Shape)}
 _SHAPE_CLASSES = frozenset(SHAPES.values())
 
-# The JSON text omits the bytes of a mesh, because the build folder contains the mesh file.
-_OMITTED = {("Mesh", "data")}
+# The JSON text omits the bytes of a mesh, because the build folder contains the mesh file, and the
+# object dictionary of an EDS, which only simulations of the robot file need.
+_OMITTED = {("Mesh", "data"), ("Node", "described")}
 _NAMES = {
     bool: "true or false",
     int: "a whole number",

@@ -15,9 +15,9 @@ from tests.backends.random_layouts import compiled_bus, random_module
 from tests.cli.conftest import Command
 from tests.devices import MOTORS, Bench, line
 from thorvaldc.backends.can.dbc import dbc_text
+from thorvaldc.compiler.bus.device_file import MAX_BYTES
 from thorvaldc.compiler.bus.device_sections import BusSpec
 from thorvaldc.model import Bus
-from thorvaldc.tools.device_files.device_module import MAX_BYTES
 
 BATTERY = Path(__file__).with_name("battery.dbc").read_text(encoding="utf-8")
 DRIVE = """\

@@ -49,7 +49,7 @@ def import_device(command: Command, type_name: str, text: str) -> tuple[str, str
 
 def bus_of(text: str, node_id: int = 5) -> Bus:
     bench = Bench()
-    bench.add("my/device", node_id, text=text)
+    bench.add("my/device", node_id, text=re.sub(r"  eds: .*\n", "", text))
     (bus,) = bench.build()
     assert not list(bench.report)
     return bus
@@ -84,7 +84,7 @@ def test_an_io_device_has_the_pdos_and_the_identity_of_its_file(thorvaldc: Comma
     }
 
 
-def test_a_drive_of_the_file_drives_beside_another_one(thorvaldc: Command) -> None:
+def test_a_robot_of_three_brands_is_flashed_and_drives(thorvaldc: Command) -> None:
     text, _ = import_device(thorvaldc, "controller/mine", DRIVE)
     assert "# The drive has no writable 0x605E (fault_reaction_option): set it there." in text
     assert "choices: [3, 9]" in text
@@ -93,9 +93,8 @@ def test_a_drive_of_the_file_drives_beside_another_one(thorvaldc: Command) -> No
     for arguments in (["modules", "check", "modules"], ["check", "robot.yaml"]):
         checked = thorvaldc(*arguments)
         assert (checked.status, checked.err) == (0, ""), checked.out
-    # The simulated bus has no device with the protocol of `io/mine`, which `flash` needs.
-    drives = "".join(row for row in ROBOT.splitlines(True) if not row.startswith("  io:"))
-    Path("robot.yaml").write_text(drives, encoding="utf-8")
+    before = thorvaldc(*["can", "verify", "robot.yaml", "--bus", "virtual:delivered"])
+    assert "io       1016:1 heartbeat_consumer_time" in before.out  # a device of its EDS alone
     flash = "can flash robot.yaml --bus virtual:delivered --store store.json --apply --yes"
     for command in (flash, "can verify robot.yaml --bus virtual --store store.json"):
         written = thorvaldc(*command.split())
@@ -108,6 +107,9 @@ def test_a_drive_of_the_file_drives_beside_another_one(thorvaldc: Command) -> No
 
 def test_a_device_without_a_simulation_of_its_own_gets_no_id(thorvaldc: Command) -> None:
     import_device(thorvaldc, "io/mine", IO)
+    module = Path("modules/io/mine/module.yaml")
+    text = module.read_text(encoding="utf-8")
+    module.write_text(re.sub(r"  eds: .*\n", "", text), encoding="utf-8")
     part = "  box: {type: io/mine, mount: {parent: frame, xyz: [0.3, 0, 0.1]}, can: 9}\n"
     drives = f"library: [modules]\n{GOOD}{part}"
     Path("rover.yaml").write_text(drives, encoding="utf-8")
@@ -137,6 +139,7 @@ def test_the_unit_of_the_velocity_must_be_stated(thorvaldc: Command) -> None:
         ("Velocity actual value\nObjectType=0x7\nDataType=0x0004", "V\nDataType=3", "(integer16)"),
         ("0x00000185", "0x00000001", "0x6502 (neither mode 3 nor 9)"),
         ("=Entry 1\nObjectType=0x7\nDataType=0x0007\nAccessType=rw", "=E\nDataType=7", "0x1600"),
+        ("[1005]", "[1006]", "0x1005 (missing)"),
     ],
 )
 def test_a_drive_that_the_driver_cannot_use_keeps_its_pdos(

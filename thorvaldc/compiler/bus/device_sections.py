@@ -136,13 +136,16 @@ LONGEST_TIME = 0xFFFF  # longest time in ms that fits into 16 bits
 # Index of the communication parameters of the first PDO.  In the object dictionary, the mapping
 # parameters of a PDO are 0x200 above its communication parameters.
 RPDO, TPDO = 0x1400, 0x1800
+EVENT_TIMER = 5  # subindex of the communication parameters
 AT_SYNC, ON_EVENT = 1, 255  # values of the PDO transmission type
 
 
 def objects_of(
     device: Device, node: Node, frames: Sequence[FrameDefinition], report: Report
-) -> tuple[ObjectValue, ...]:
+) -> Sequence[tuple[ObjectValue, Span]]:
     """Returns the object dictionary entries of a CANopen node in the order of their indices.
+
+    Each entry has the source span of the document that states it.
 
     Returns an empty tuple if the CANopen node has no SDO service, because object dictionary entries
     are written by SDO.
@@ -163,7 +166,7 @@ def objects_of(
             )
     for entry in _mapped(frames):
         objects.setdefault((entry.index, entry.subindex), (entry, device.can.where))
-    return tuple(objects[key][0] for key in sorted(objects))
+    return tuple(objects[key] for key in sorted(objects))
 
 
 def type_range(name: str) -> tuple[int, int]:
@@ -281,7 +284,7 @@ def _pdo(device: Device, frame: FrameDefinition, report: Report) -> Iterator[Obj
         time = 0
         if frame.period is not None:
             time = _milliseconds(device, f"frames.{name}.period", frame.period, report)
-        yield ObjectValue(f"{name}_event_timer", base, 5, "unsigned16", time)
+        yield ObjectValue(f"{name}_event_timer", base, EVENT_TIMER, "unsigned16", time)
     base += 0x200
     yield ObjectValue(f"{name}_mapped_objects", base, 0, "unsigned8", len(frame.mapping))
     for i, (index, subindex, type_name) in enumerate(frame.mapping, 1):

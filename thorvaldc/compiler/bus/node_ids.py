@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 from thorvaldc.compiler.bus import device_sections as sections
 from thorvaldc.compiler.bus.device_frames import CHANNEL_DIMENSIONS, channel_names, frames_of
+from thorvaldc.compiler.bus.eds_checks import check_against_eds, dictionary_of
 from thorvaldc.compiler.source import node as source
 from thorvaldc.compiler.source.dimensions import EXPECTED
 from thorvaldc.compiler.source.lock_file import ADDRESSES, is_lock, report_invalid
@@ -125,7 +126,12 @@ def assign_ids(
         if node.heartbeat_consumer_time is not None:
             consumer_time = min(node.heartbeat_consumer_time, watchdog)
             node = replace(node, heartbeat_consumer_time=consumer_time)
-        node = replace(node, objects=sections.objects_of(named, node, frames, report))
+        objects = sections.objects_of(named, node, frames, report)
+        dictionary = dictionary_of(named, report)
+        if dictionary is not None:
+            objects = check_against_eds(named, node, frames, objects, dictionary, report)
+            node = replace(node, described=dictionary.described)
+        node = replace(node, objects=tuple(entry for entry, _ in objects))
         placed.append(
             sections.Placed(
                 device.path,

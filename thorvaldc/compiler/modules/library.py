@@ -194,6 +194,10 @@ class Library:
         """Path of each library file that was read, by the name of the file in diagnostics."""
         return dict(self._files)
 
+    def add_file(self, display: str, path: Path) -> None:
+        """Adds a file that a module names, such as an EDS, to ``files``."""
+        self._files[display] = path
+
     def user_modules(self) -> list[ModuleType]:
         """Returns the module types that were loaded from the folders of the user."""
         loaded = [module for module in self._types.values() if module is not None]

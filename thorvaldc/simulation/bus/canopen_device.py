@@ -26,6 +26,7 @@ from thorvaldc.simulation.bus.object_dictionary import (
     Entry,
     ObjectDictionary,
     SdoAbort,
+    described_objects,
 )
 from thorvaldc.simulation.bus.process_data import PdoSet
 from thorvaldc.simulation.bus.sdo_server import LssSlave, SdoServer
@@ -222,9 +223,11 @@ class CanopenDevice(simulated_device.SimulatedDevice):
         if self.pdos is not None:
             self.pdos.apply_quirks(quirks)
             self.pdos.frozen = self.frozen_reports
+        described = self.specification.node.described
+        served = described_objects(objects, described, self.node_id) if described else objects
         objects.restore(self.nonvolatile.get(simulated_device.PARAMETERS, {}))
         self._sdo = SdoServer(
-            objects,
+            served,
             self._respond,
             segmented=Quirk.SEGMENTED_TRANSFERS in quirks,
             blocks=Quirk.BLOCK_TRANSFERS in quirks,

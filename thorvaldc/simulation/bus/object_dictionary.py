@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 from thorvaldc.can.sdo import AbortCode
+from thorvaldc.model.bus import DescribedObject
 
 _FORMATS = {
     "bool": "<?",
@@ -118,7 +119,7 @@ class ObjectDictionary:
     """
 
     def __init__(self, *, length_aborts: bool = False) -> None:
-        self._length_aborts = length_aborts
+        self.length_aborts = length_aborts
         self._entries: dict[tuple[int, int], Entry] = {}
         self._indices: dict[int, None] = {}
 
@@ -180,7 +181,7 @@ class ObjectDictionary:
         """Raises ``SdoAbort`` if the value of the entry cannot have ``length`` bytes."""
         if entry.size in (0, length):
             return
-        if not self._length_aborts:
+        if not self.length_aborts:
             raise SdoAbort(AbortCode.LENGTH_WRONG)
         raise SdoAbort(AbortCode.TOO_LONG if length > entry.size else AbortCode.TOO_SHORT)
 
@@ -205,6 +206,47 @@ class ObjectDictionary:
         for (index, subindex), entry in self._entries.items():
             if entry.stored:
                 yield parameter_name(index, subindex), entry
+
+
+_KINDS = {
+    "boolean": "bool",
+    **{f"integer{bits}": f"i{bits}" for bits in (8, 16, 32)},
+    **{f"unsigned{bits}": f"u{bits}" for bits in (8, 16, 32)},
+}
+_OF_COMMUNICATION = range(0x1000, 0x2000)
+_IDENTITY = 0x1018
+
+
+def described_objects(
+    objects: ObjectDictionary, described: Sequence[DescribedObject], node_id: int
+) -> ObjectDictionary:
+    """Returns the entries that an SDO client of a device can access, as its EDS describes them.
+
+    Entries that only the EDS has are added to ``objects``, with their default values.  The others
+    get type, access, limits, and in the communication profile the default value of the EDS; they
+    keep the behaviour of the simulated device.  Texts, and numbers of types that a module does not
+    have, are empty texts.
+    """
+    served = ObjectDictionary(length_aborts=objects.length_aborts)
+    for each in described:
+        key = (each.index, each.subindex)
+        is_new = key not in objects
+        is_number = bool(each.type) and (is_new or objects[key].kind != "text")
+        entry = objects.add(*key, Entry("text", "", "rw")) if is_new else objects[key]
+        served.add(*key, entry)
+        if each.access and entry.read is None:
+            entry.access = each.access if each.access in ("ro", "wo", "const") else "rw"
+        if not is_number:
+            continue
+        entry.kind = _KINDS[each.type]
+        entry.lower = each.lower if entry.lower is None else entry.lower
+        entry.upper = each.upper if entry.upper is None else entry.upper
+        if is_new:
+            entry.value, entry.stored = 0, entry.access == "rw"
+        has_default = is_new or (each.index in _OF_COMMUNICATION and each.index != _IDENTITY)
+        if has_default and each.value is not None:
+            entry.value = each.value + (node_id if each.adds_node_id else 0)
+    return served
 
 
 def parameter_name(index: int, subindex: int) -> str:

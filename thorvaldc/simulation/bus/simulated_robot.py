@@ -21,6 +21,7 @@ from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.model.scenario import Quirk
 from thorvaldc.simulation.bus import simulated_motors
 from thorvaldc.simulation.bus.battery_and_io_devices import ForeignDevice
+from thorvaldc.simulation.bus.described_device import DescribedDevice
 from thorvaldc.simulation.bus.motor_wiring import WiredMotor, Wiring
 from thorvaldc.simulation.bus.simulated_device import (
     MOTORS,
@@ -57,13 +58,16 @@ def create_device(specification: DeviceSpecification) -> SimulatedDevice:
     """Creates the simulated device of a CAN node.
 
     The protocol of the CAN node selects the class of the simulated device.  A CAN node with an
-    unknown protocol becomes a ``ForeignDevice``.  Raises ``DiagnosticError``
+    unknown protocol becomes a ``DescribedDevice`` if its module names an EDS, else a
+    ``ForeignDevice``.  Raises ``DiagnosticError``
     (``bus-driver-unknown``) if a class that another package provides is not a valid device class.
     """
     node = specification.node
     device = SIMULATED_DEVICES.load(node.protocol)
     if not isinstance(device, PluginFailure):
         return device(specification)
+    if device.unknown and node.is_canopen and node.described:
+        return DescribedDevice(specification)
     if device.unknown:
         return ForeignDevice(specification)
     raise DiagnosticError(

@@ -13,6 +13,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from thorvaldc.compiler.bus.device_file import MAX_BYTES, read_contained
+from thorvaldc.compiler.source.input_file import read_bytes
 from thorvaldc.compiler.source.units import UnitError, parse_unit
 from thorvaldc.diagnostics import OutsideError, Report, Span, did_you_mean
 from thorvaldc.diagnostics.installation import install_command
@@ -25,11 +27,11 @@ from thorvaldc.tools.device_files.device_module import (
     left_out,
     plain_text,
     quoted,
-    read_contained,
     without_refused,
 )
 
 _LONGEST_FRAME = 8  # bytes
+_WORKER = f"{__package__}.dbc_worker"
 
 
 def module_from_dbc(path: Path, node: str, type_name: str, report: Report) -> DeviceModule | None:
@@ -47,7 +49,10 @@ def module_from_dbc(path: Path, node: str, type_name: str, report: Report) -> De
         command = install_command("dbc")
         raise OutsideError(f"DBC files require cantools, which is not installed: {command}")
     imports = ("cantools.database",)
-    content = read_contained(path, "DBC", "dbc_worker", report, {"node": node}, imports)
+    data = read_bytes(path, str(path), report, limit=MAX_BYTES)
+    if data is None:
+        return None
+    content = read_contained(data, str(path), "DBC", _WORKER, report, node, imports)
     if content is None:
         return None
     if not content["messages"]:

@@ -60,6 +60,7 @@ def _finish(device: DeviceModule | None, file: str, library: str, report: Report
         return status
     folder = Path(library)
     files = {f"{device.type}/{FILE}": module_text(device).encode()}
+    files |= {f"{device.type}/{name}": data for name, data in device.files.items()}
     try:
         scaffolding.write_module(folder, files)
     except FileExistsError as error:

@@ -5,29 +5,22 @@
 
 from __future__ import annotations
 
-import os
 import re
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from thorvaldc.compiler.bus.device_frames import frames_of
 from thorvaldc.compiler.bus.device_sections import Device
 from thorvaldc.compiler.modules.library import FILE, Library, ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope
-from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, limited_worker
 from thorvaldc.compiler.scaffolding import SCHEMA
-from thorvaldc.compiler.source.input_file import read_bytes
 from thorvaldc.compiler.source.node import Node, yaml_text
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.validation.schema_diagnostics import similar_name
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model.bus import CANOPEN
 
-MAX_BYTES = 4_000_000
-_LIMITS = WorkerLimits(wall_seconds=60.0, processor_seconds=40, memory_bytes=1 << 30)
 _LONGEST_NAME = 56  # a number may follow
 _LONGEST_TEXT = 300
 CYCLE = 0.02  # s; the control cycle with which the frames are checked
@@ -62,6 +55,7 @@ class DeviceModule:
     - ``sections``: YAML text of further sections of the module, by their names.
     - ``can``: YAML text of the keys of the section ``can`` but ``frames``.
     - ``comments``: what a person must know or decide, at the top of the file.
+    - ``files``: bytes of further files of the module, by their names.
     """
 
     type: str
@@ -71,6 +65,7 @@ class DeviceModule:
     params: dict[str, str] = field(default_factory=dict)
     sections: dict[str, str] = field(default_factory=dict)
     comments: list[str] = field(default_factory=list)
+    files: dict[str, bytes] = field(default_factory=dict)
 
     def usage(self) -> str:
         """Returns the lines of a robot file that use the module.
@@ -109,40 +104,6 @@ class Names:
             unique, number = f"{name[:_LONGEST_NAME]}_{number}", number + 1
         self._used.add(unique)
         return unique
-
-
-def read_contained(
-    path: Path,
-    format_name: str,
-    worker_module: str,
-    report: Report,
-    request: dict[str, Any] | None = None,
-    imports: Sequence[str] = (),
-) -> dict[str, Any] | None:
-    """Returns what a limited worker process reads in a file of others.
-
-    Returns ``None`` and reports an error at its line if the file cannot be read.
-
-    - ``worker_module``: module of this package that answers the request.
-    - ``imports``: modules that the worker imports before its limits are in force.
-    """
-    file = str(path)
-    data = read_bytes(path, file, report, limit=MAX_BYTES)
-    if data is None:
-        return None
-    folders = [os.path.abspath(folder) for folder in sys.path]
-    service = f"{__package__}.{worker_module}"
-    with limited_worker(service, _LIMITS, path=folders, imports=imports) as worker:
-        try:
-            answer, _ = worker.ask(request or {}, data)
-        except WorkerLimitError as error:
-            answer = {"error": f"its reader {error}"}
-    if "error" not in answer:
-        return answer
-    line, column = answer.get("line", 1), answer.get("column", 1)
-    text = f"`{file}` cannot be read as a file of the format {format_name}: {answer['error']}"
-    report.add("file-unreadable", text, Span(file, line, column, line, column + 1))
-    return None
 
 
 def plain_text(text: str) -> str:

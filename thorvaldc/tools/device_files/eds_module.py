@@ -1,18 +1,18 @@
 """Makes the module of a CANopen device from its EDS or DCF file (CiA 306).
 
-``eds_worker`` reads the file, in a limited process.  A drive of CiA 402 gets the PDOs that the
+``device_file`` reads the file.  A drive of CiA 402 gets the PDOs that the
 driver ``cia402`` needs, if its objects can be mapped; every other device has the PDOs of its file.
 Each value names its object in a comment.  Begin with ``module_from_eds``.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from thorvaldc.can.canopen import RPDO, TPDO
+from thorvaldc.compiler.bus.device_file import Dictionary, Entry, read_eds
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model.bus import CIA_402, OBJECT_TYPES
 from thorvaldc.tools.device_files.device_module import (
@@ -23,13 +23,12 @@ from thorvaldc.tools.device_files.device_module import (
     left_out,
     plain_text,
     quoted,
-    read_contained,
     without_refused,
 )
 
-_TYPES = {number: name for name, (number, _) in OBJECT_TYPES.items()}
 _IDS = {"controller": "[1, 31]", "io": "[32, 47]"}
 _OTHER_IDS = "[48, 63]"
+_PLAIN_NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,70}\.(eds|dcf|EDS|DCF)"
 _INVALID, _EXTENDED = 1 << 31, 1 << 29
 """Bits of the COB-ID of a PDO: it is not used, it has 29 bits (CiA 301)."""
 _LONGEST_TIME = 0xFFFF  # ms
@@ -44,73 +43,20 @@ _UNITS = {
 }
 
 
-@dataclass(frozen=True)
-class Entry:
-    """An entry of the object dictionary, as ``eds_worker`` describes it."""
-
-    index: int
-    subindex: int
-    fields: dict[str, Any]
-
-    @property
-    def shown(self) -> str:
-        return f"0x{self.index:04X}:{self.subindex}"
-
-    @property
-    def type(self) -> str | None:
-        """Name of the type in a module, or ``None`` if a module has no such type."""
-        return _TYPES.get(self.fields["type"])
-
-    @property
-    def is_writable(self) -> bool:
-        return self.fields["access"] in ("rw", "rwr", "rww", "wo")
-
-
-class Dictionary:
-    """The object dictionary of a file."""
-
-    def __init__(self, content: dict[str, Any], file: str) -> None:
-        self.info: dict[str, str] = content["info"]
-        self.node_id: int | None = content["node_id"]
-        self.file = file
-        self._entries = {
-            key: Entry(*key, fields)
-            for name, fields in content["objects"].items()
-            for key in [(int(name.partition(":")[0]), int(name.partition(":")[2]))]
-        }
-
-    def get(self, index: int, subindex: int = 0) -> Entry | None:
-        return self._entries.get((index, subindex))
-
-    def number(self, index: int, subindex: int = 0) -> int | None:
-        """Returns the value of an entry that does not depend on the node id, or ``None``."""
-        entry = self.get(index, subindex)
-        value = entry.fields["value"] if entry is not None else None
-        return None if value is None or value[1] else int(value[0])
-
-    def span(self, index: int, subindex: int = 0) -> Span:
-        entry = self.get(index, subindex)
-        line = entry.fields["line"] if entry is not None else 1
-        return Span(self.file, line, 1, line, 2)
-
-    @property
-    def profile(self) -> int:
-        """Number of the device profile, such as 402, or 0."""
-        return (self.number(0x1000) or 0) & 0xFFFF
-
-
 def module_from_eds(path: Path, type_name: str, report: Report) -> DeviceModule | None:
     """Returns the module of a CANopen device, or ``None`` if the file has errors.
 
     Reports a note for each PDO that the module leaves out.
     """
     file = str(path)
-    content = read_contained(path, "EDS", "eds_worker", report)
-    if content is None:
+    dictionary = read_eds(path, file, report)
+    if dictionary is None:
         return None
-    dictionary = Dictionary(content, file)
     is_drive = dictionary.profile == CIA_402
     device = DeviceModule(type_name, "", _can(dictionary, type_name), [])
+    copy = path.name if re.fullmatch(_PLAIN_NAME, path.name) else "device.eds"
+    device.can["eds"] = f"{copy}  # `check` compares this module with it"
+    device.files[copy] = dictionary.data
     name = plain_text(dictionary.info.get("productname", "")) or path.name
     vendor = plain_text(dictionary.info.get("vendorname", ""))
     device.description = f"CANopen device {name}{f' of {vendor}' if vendor else ''}."
@@ -144,7 +90,8 @@ def _can(dictionary: Dictionary, type_name: str) -> dict[str, str]:
     device_type = dictionary.number(0x1000)
     if device_type is not None and 0 <= device_type < 1 << 32:
         can["device_type"] = f"{device_type:#x}  # 0x1000:0"
-    if dictionary.info.get("lss_supported", "0").strip() == "1":
+    has_identity = all(dictionary.get(0x1018, subindex) for subindex in (1, 2, 3, 4))
+    if dictionary.info.get("lss_supported", "0").strip() == "1" and has_identity:
         can["lss"] = "true  # LSS_Supported"
     services = ["sdo"]
     services += ["heartbeat"] if dictionary.get(0x1017) else []
@@ -226,7 +173,7 @@ def _frame(
         signals.append(_signal(dictionary, entry, kind, start, is_report, names))
         start += bits
     transmission = dictionary.number(index, 2)
-    synchronous = transmission is not None and 1 <= transmission <= 240
+    synchronous = dictionary.get(0x1005) is not None and 1 <= (transmission or 0) <= 240
     timer = (dictionary.number(index, 5) or 0) if is_report else 0
     timer = timer if timer <= _LONGEST_TIME else 0
     period = "cycle" if synchronous else f"{timer} ms" if timer > 0 else "on_demand"
@@ -328,10 +275,11 @@ def _add_drive(device: DeviceModule, dictionary: Dictionary) -> bool:
             missing.append(f"0x{index:04X} (not mappable)" if entry else f"0x{index:04X} (missing)")
         elif OBJECT_TYPES[kind][1] != bits:
             missing.append(f"0x{index:04X} ({kind})")
-    for index in (0x1600, 0x1A00):
-        entry = dictionary.get(index, 1)
-        if entry is None or not entry.is_writable:
-            missing.append(f"0x{index:04X} (not writable)")
+    for index, objects in ((0x1600, _COMMANDS), (0x1A00, _REPORTS)):
+        places = [dictionary.get(index, number) for number in range(1, len(objects) + 1)]
+        if not all(entry is not None and entry.is_writable for entry in places):
+            missing.append(f"0x{index:04X} (fewer than {len(places)} writable entries)")
+    missing += [] if dictionary.get(0x1005) else ["0x1005 (missing)"]
     supported = dictionary.number(0x6502)
     modes = [mode for mode, bit in _MODES if supported is None or supported >> bit & 1]
     missing += [] if modes else ["0x6502 (neither mode 3 nor 9)"]

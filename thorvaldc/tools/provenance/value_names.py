@@ -29,7 +29,8 @@ def values_of(item: Any, name: str = "", owner: Value = NOBODY) -> Iterator[tupl
     if is_dataclass(item):
         span, module = getattr(item, "span", owner.span), getattr(item, "module", owner.module)
         owner = Value(None, span, module)
-        names = [field.name for field in fields(item) if field.name not in ("span", "data")]
+        left_out = ("span", "data", "described")
+        names = [field.name for field in fields(item) if field.name not in left_out]
         parts = [(key, getattr(item, key)) for key in names]
     elif isinstance(item, dict):
         parts = list(item.items())
