@@ -22,6 +22,7 @@ from thorvaldc.backends import ros2_controllers as controllers
 from thorvaldc.backends.mjcf import ros2_control_files
 from thorvaldc.backends.ros2_control import hardware_problem
 from thorvaldc.backends.ros2_parameters import HEADER, Parameters, parameter_file, quoted
+from thorvaldc.backends.ros2_sensors import sensor_nodes
 from thorvaldc.backends.sdf import model_text, world_files
 from thorvaldc.backends.urdf import urdf_text
 from thorvaldc.model import Fleet, Robot
@@ -162,6 +163,9 @@ def _parameter_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
                     robot, parts, source
                 )
             }
+    drivers = {node.full_name: node.parameters for node in sensor_nodes(robot)}
+    if drivers:
+        files["sensors"] = drivers
     space = ros2_parts.node_space(robot)
     comments = {"base_driver": ros2_parameters.FILTER_NOISE} if parts.localization else {}
     comments["gnss"] = ros2_parameters.HEADING

@@ -14,6 +14,7 @@ from thorvaldc.backends import ros2_parts
 from thorvaldc.backends.ros2_controllers import controllers, twist_controller
 from thorvaldc.backends.ros2_navigation import Motion
 from thorvaldc.backends.ros2_parameters import quoted
+from thorvaldc.backends.ros2_sensors import sensor_nodes
 from thorvaldc.backends.templates import Templates
 from thorvaldc.backends.xml_writer import escape
 from thorvaldc.model import Fleet, Robot, Sensor
@@ -33,6 +34,7 @@ LAUNCHES = {
     "mujoco": "simulation in MuJoCo, with `/clock`",
     "virtual": "the driver on a simulated bus",
     "robot": "the real robot; `bus:=socketcan:can0`",
+    "sensors": "part of `robot`: the drivers of its sensors",
     "teleop": "a pad moves the robot",
     "gazebo": "simulation in Gazebo",
     "ros2_control": "joints of ros2_control; `hardware:=mock`",
@@ -237,6 +239,8 @@ def launch_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
     names = ["base", "ideal", "mujoco", "teleop"]
     if robot.buses:
         names += ["virtual", "robot"]
+    if any(sensor.ros2_driver is not None for sensor in robot.sensors):
+        names.append("sensors")
     if parts.gnss is not None:
         names.append("gnss")
     if parts.slam is not None:
@@ -249,6 +253,7 @@ def launch_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
     texts = {}
     for name in names:
         summary, arguments = _BASES.get(name, ("", {}))
+        values["is_real"] = name == "robot"
         template = "include_base" if name in _BASES else name
         texts[f"launch/{name}.launch.py"] = _LAUNCH_TEMPLATES.render(
             f"{template}.launch.py", summary=summary, arguments=arguments, **values
@@ -279,6 +284,7 @@ def _values(robot: Robot, parts: ros2_parts.Parts) -> dict[str, Any]:
         "command_topic": controller.command_topic if controller is not None else "",
         "odometry_topic": controller.odometry_topic if controller is not None else "",
         "gazebo_clock": ros2_parts.GAZEBO_CLOCK,
+        "sensor_nodes": list(sensor_nodes(robot)),
     }
 
 

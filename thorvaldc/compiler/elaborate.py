@@ -21,7 +21,7 @@ from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.modules.module_tree import Instance, used_by
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.robot_settings import driver_settings, robot_sections
-from thorvaldc.compiler.robot_settings.computer_section import read_computer
+from thorvaldc.compiler.robot_settings.computer_section import check_sensor_ports, read_computer
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import read_section
 from thorvaldc.compiler.values.value_reader import items
@@ -202,6 +202,7 @@ class _Elaborator(NamedTuple):
         computer_section = read_section(document, "robot", "computer", scope)
         is_stated = document.get("computer") is not None
         computer = read_computer(computer_section, buses, self.report, is_stated=is_stated)
+        check_sensor_ports(parts.sensors, computer, self.report)
         purchases: Mapping[str, Purchase] = {}
         if document.get("purchase") is not None:
             from thorvaldc.compiler.hardware.purchase_reader import read_purchases

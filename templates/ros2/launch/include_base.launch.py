@@ -22,6 +22,11 @@ def generate_launch_description():
     """Return what this file starts."""
     base = os.path.join(SHARE, "launch", "base.launch.py")
     return launch_description(
+        # % if is_real and sensor_nodes
+        DeclareLaunchArgument(
+            "sensors", default_value="true", description="start the drivers of the sensors"
+        ),
+        # % endif
         IncludeLaunchDescription(
             PythonLaunchDescriptionSource(base),
             launch_arguments={
@@ -29,7 +34,13 @@ def generate_launch_description():
                 "{{ name }}": "{{ value }}",
                 # % endfor
             }.items(),
-        )
+        ),
+        # % if is_real and sensor_nodes
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(os.path.join(SHARE, "launch", "sensors.launch.py")),
+            condition=IfCondition(LaunchConfiguration("sensors")),
+        ),
+        # % endif
     )
 
 
