@@ -111,10 +111,13 @@ def package_of(robot: Robot) -> dict[str, bytes]:
         **{path: text.encode() for path, text in launches.items()},
     }
     title = f"The robot {robot.name}, made by thorvaldc"
-    texts = launches.values()
-    return ros2_package_files.package_files(
+    own = ros2_package_files.own_launch_files(robot)
+    plugins |= {f"launch_{kind}" for kind in ("xml", "yaml") for path in own if path.endswith(kind)}
+    texts = [*launches.values(), *(launch.text for launch in robot.ros.launch)]
+    package = ros2_package_files.package_files(
         robot.ros.package, title, robot.ros, files, texts, plugins, robot.description
     )
+    return {**package, **own}
 
 
 def in_any_name_space(robot: Robot, files: Mapping[str, str]) -> dict[str, bytes]:

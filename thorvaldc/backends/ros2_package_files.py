@@ -21,8 +21,11 @@ from thorvaldc.model import Fleet, Robot, Sensor
 from thorvaldc.model.settings import ANY_FIRST, EKF, RAMP_FIRST, ZERO_FIRST, RosSettings
 
 _NEEDED = re.compile(
-    r'package="([a-z0-9_]+)"|get_package_share_directory\("([a-z0-9_]+)"\)|node\("([a-z0-9_]+)", "'
+    r"""\b(?:package|pkg)=["']([a-z0-9_]+)["']|\bpkg: *["']?([a-z0-9_]+)"""
+    r"""|\b(?:get_package_share_directory|FindPackageShare)\(["']([a-z0-9_]+)["']\)"""
+    r"""|find-pkg-share ([a-z0-9_]+)|\bnode\("([a-z0-9_]+)", \""""
 )
+"""ROS packages that a launch file names, in Python, XML or YAML."""
 _NOBODY = "unknown <unknown@example.org>"
 _RUNTIME = ("ament_index_python", "launch", "launch_ros", "rclpy")
 _MESSAGES = ("builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "nav_msgs", "rcl_interfaces")
@@ -166,9 +169,15 @@ def readme(robot: Robot, parts: ros2_parts.Parts, launches: Iterable[str]) -> st
         topic=partial(ros2_parts.full_topic, robot),
         sensors=sensors,
         launches={name: LAUNCHES[name] for name in launches},
+        own=[own.name for own in robot.ros.launch],
         left_out=parts.left_out,
         beginnings=BEGINNINGS,
     )
+
+
+def own_launch_files(robot: Robot) -> dict[str, bytes]:
+    """Return the launch files of the robot file by their path in the package."""
+    return {f"launch/{own.name}": own.text.encode() for own in robot.ros.launch}
 
 
 def fleet_readme(fleet: Fleet, package: str) -> str:
@@ -254,6 +263,7 @@ def launch_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
     for name in names:
         summary, arguments = _BASES.get(name, ("", {}))
         values["is_real"] = name == "robot"
+        values["own"] = [own.name for own in robot.ros.launch] if name == "robot" else []
         template = "include_base" if name in _BASES else name
         texts[f"launch/{name}.launch.py"] = _LAUNCH_TEMPLATES.render(
             f"{template}.launch.py", summary=summary, arguments=arguments, **values

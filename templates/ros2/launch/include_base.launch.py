@@ -12,7 +12,14 @@ from launch.actions import (
     SetLaunchConfiguration,
 )
 from launch.conditions import IfCondition
+# % if own
+from launch.launch_description_sources import (
+    AnyLaunchDescriptionSource,
+    PythonLaunchDescriptionSource,
+)
+# % else
 from launch.launch_description_sources import PythonLaunchDescriptionSource
+# % endif
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 
 PACKAGE = "{{ package }}"
@@ -41,6 +48,11 @@ def generate_launch_description():
             condition=IfCondition(LaunchConfiguration("sensors")),
         ),
         # % endif
+        # % for name in own
+        IncludeLaunchDescription(
+            AnyLaunchDescriptionSource(os.path.join(SHARE, "launch", "{{ name }}"))
+        ),
+        # % endfor
     )
 
 

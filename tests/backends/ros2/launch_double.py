@@ -540,7 +540,8 @@ def _modules(context: Context) -> Iterator[None]:
         },
         "launch.conditions": {"IfCondition": IfCondition, "UnlessCondition": UnlessCondition},
         "launch.launch_description_sources": {
-            "PythonLaunchDescriptionSource": PythonLaunchDescriptionSource
+            "AnyLaunchDescriptionSource": PythonLaunchDescriptionSource,  # of Python files
+            "PythonLaunchDescriptionSource": PythonLaunchDescriptionSource,
         },
         "launch.substitutions": {
             "EqualsSubstitution": EqualsSubstitution,
