@@ -183,6 +183,11 @@ def sensor_space(sensor: Sensor) -> str:
     return topic_of(sensor.name)
 
 
+def sensor_node(sensor: Sensor) -> str:
+    """Return the name of the node that is the driver of a sensor."""
+    return f"{sensor_space(sensor)}_node"
+
+
 def sensor_topics(sensor: Sensor) -> list[tuple[str, str, str]]:
     """Return the topics of a sensor relative to the name space of the robot, each with its type in
     ROS and in Gazebo; an empty list for a sensor that Gazebo does not simulate."""

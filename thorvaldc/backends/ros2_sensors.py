@@ -1,7 +1,8 @@
 """The drivers of the sensors of the real robot: their nodes and ROS 2 parameters.
 
-The nodes of a sensor run in a name space of its own below that of the robot, so that topics and
-nodes of two sensors with the same driver differ. Simulations have sensors of their own.
+The nodes of a sensor run in a name space of its own below that of the robot, so that topics of two
+sensors with the same driver differ. Their names differ too, because diagnostic_updater leaves the
+name space out of the names of statuses. Simulations have sensors of their own.
 """
 
 from __future__ import annotations
@@ -15,8 +16,6 @@ from thorvaldc.model import Robot, Sensor
 from thorvaldc.model.ros2_driver import RAW_IMU, Ros2Driver, device_path
 from thorvaldc.model.sensor_numbers import sensor_numbers
 
-DRIVER, FILTER = "driver", "filter"
-"""Names of the nodes of a sensor."""
 LARGEST_DEVIATION = 1.0
 """Largest value in rad that imu_filter_madgwick accepts as standard deviation."""
 
@@ -60,7 +59,8 @@ def _driver(robot: Robot, sensor: Sensor, driver: Ros2Driver) -> SensorNode:
     }
     remappings = [(theirs, ours) for ours, theirs in driver.topics if ours != theirs]
     space = ros2_parts.sensor_space(sensor)
-    return SensorNode(space, DRIVER, driver.package, driver.executable, remappings, parameters)
+    name = ros2_parts.sensor_node(sensor)
+    return SensorNode(space, name, driver.package, driver.executable, remappings, parameters)
 
 
 def _filter(sensor: Sensor, *, has_compass: bool) -> SensorNode:
@@ -80,7 +80,7 @@ def _filter(sensor: Sensor, *, has_compass: bool) -> SensorNode:
     topics = ("data", *RAW_IMU) if has_compass else ("data", RAW_IMU[0])
     return SensorNode(
         ros2_parts.sensor_space(sensor),
-        FILTER,
+        f"{ros2_parts.sensor_space(sensor)}_filter",
         "imu_filter_madgwick",
         "imu_filter_madgwick_node",
         [(f"imu/{topic}", topic) for topic in topics],

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 
 from tests.backends.rcl_parameters import read
 from tests.backends.ros2.launch_double import Started
-from tests.backends.ros2.packages import launch, parameters
+from tests.backends.ros2.packages import launch, named, parameters
 from tests.backends.ros2.test_declared_parameters import TABLE, type_of
 from tests.examples import FOLDER
 from thorvaldc.backends.ros2 import package_of
@@ -56,6 +57,10 @@ def drivers(robot: Robot, folder: Path, file: str, **arguments: str) -> dict[str
     return {f"{node.namespace}/{node.name}": node for node in started if node.respawn_delay}
 
 
+def sensor_parameters(robot: Robot) -> dict[str, dict[str, Any]]:
+    return read(named(robot, "config/sensors.yaml"))
+
+
 def with_imu(robot: Robot, driver: Ros2Driver, **numbers: float) -> Robot:
     sensors = [
         dataclasses.replace(
@@ -74,15 +79,15 @@ def test_the_real_robot_starts_a_driver_for_each_sensor(robot: Robot, tmp_path: 
     """Each is started again when it ends, below the name space of the robot."""
     nodes = drivers(robot, tmp_path, "robot")
     assert {node.package: node.executable for node in nodes.values()} == PROGRAMS
-    assert set(nodes) == {f"r1/{sensor.name}/driver" for sensor in robot.sensors}
+    assert set(nodes) == {f"r1/{sensor.name}/{sensor.name}_node" for sensor in robot.sensors}
     assert all(node.respawn_delay == 2.0 for node in nodes.values())
     assert all(node.on_exit is None for node in nodes.values())
     assert drivers(robot, tmp_path, "robot", sensors="false") == {}
     assert set(drivers(robot, tmp_path, "sensors")) == set(nodes)
     moved = drivers(robot, tmp_path, "robot", namespace="farm/r2")
-    assert set(moved) == {f"farm/r2/{sensor.name}/driver" for sensor in robot.sensors}
-    values = read(moved["farm/r2/imu/driver"].files[0].read_text(encoding="utf-8"))
-    assert values["/farm/r2/imu/driver"]["frame_id"] == "farm/r2/imu_imu"
+    assert set(moved) == {f"farm/r2/{sensor.name}/{sensor.name}_node" for sensor in robot.sensors}
+    values = read(moved["farm/r2/imu/imu_node"].files[0].read_text(encoding="utf-8"))
+    assert values["/farm/r2/imu/imu_node"]["frame_id"] == "farm/r2/imu_imu"
 
 
 @pytest.mark.parametrize("file", ["ideal", "mujoco", "virtual", "gazebo", "joint_states"])
@@ -107,8 +112,8 @@ def test_drivers_publish_what_the_other_programs_expect(robot: Robot, tmp_path: 
     for sensor in robot.sensors:
         driver = sensor.ros2_driver
         assert driver is not None
-        node = nodes[f"r1/{sensor.name}/driver"]
-        assert files[f"/r1/{sensor.name}/driver"][driver.frame] == f"r1/{sensor.link}"
+        node = nodes[f"r1/{sensor.name}/{sensor.name}_node"]
+        assert files[f"/r1/{sensor.name}/{sensor.name}_node"][driver.frame] == f"r1/{sensor.link}"
         assert f"r1/{sensor.link}" in links
         theirs = dict(driver.topics)
         for topic, *_ in sensor_topics(sensor):
@@ -124,15 +129,15 @@ def test_drivers_publish_what_the_other_programs_expect(robot: Robot, tmp_path: 
 
 def test_the_parameters_of_the_library_are_those_of_the_drivers(robot: Robot) -> None:
     """Each exists in its driver, with the same type; numbers are those of the module."""
-    files = parameters(robot)
+    files = sensor_parameters(robot)
     for sensor in robot.sensors:
         assert sensor.ros2_driver is not None
-        for name, value in files[f"/r1/{sensor.name}/driver"].items():
+        for name, value in files[f"/r1/{sensor.name}/{sensor.name}_node"].items():
             assert TABLE[sensor.ros2_driver.package][name] == type_of(value), name
-    assert files["/r1/gnss_main/driver"]["port"] == "/dev/gnss"
-    assert files["/r1/imu/driver"]["port"] == "/dev/ttyACM0"
-    assert files["/r1/imu/driver"]["imu_data_rate"] == 200.0
-    assert files["/r1/lidar_front/driver"]["ip_address"] == "192.168.0.10"
+    assert files["/r1/gnss_main/gnss_main_node"]["port"] == "/dev/gnss"
+    assert files["/r1/imu/imu_node"]["port"] == "/dev/ttyACM0"
+    assert files["/r1/imu/imu_node"]["imu_data_rate"] == 200.0
+    assert files["/r1/lidar_front/lidar_front_node"]["ip_address"] == "192.168.0.10"
 
 
 def test_the_package_depends_on_its_drivers_which_are_released(robot: Robot) -> None:
@@ -151,12 +156,12 @@ def test_a_filter_gives_an_imu_its_orientation(
     topics = (*RAW.topics, *((("mag", "imu/mag"),) if has_compass else ()))
     imu = with_imu(robot, dataclasses.replace(RAW, topics=topics), orientation_accuracy=0.02)
     nodes = drivers(imu, tmp_path, "robot")
-    driver, node = nodes["r1/imu/driver"], nodes["r1/imu/filter"]
+    driver, node = nodes["r1/imu/imu_node"], nodes["r1/imu/imu_filter"]
     assert node.package == "imu_filter_madgwick"
     assert driver.remappings["imu/data_raw"] == node.remappings["imu/data_raw"] == "data_raw"
     assert node.remappings["imu/data"] == "data"
     assert ("imu/mag" in node.remappings) is ("imu/mag" in driver.remappings) is has_compass
-    values = parameters(imu)["/r1/imu/filter"]
+    values = sensor_parameters(imu)["/r1/imu/imu_filter"]
     assert values["use_mag"] is has_compass
     assert values["publish_tf"] is False
     assert values["orientation_stddev"] == 0.02
@@ -165,13 +170,13 @@ def test_a_filter_gives_an_imu_its_orientation(
 
 
 def test_a_driver_with_an_orientation_needs_no_filter(robot: Robot, tmp_path: Path) -> None:
-    assert "r1/imu/filter" not in drivers(robot, tmp_path, "robot")
+    assert "r1/imu/imu_filter" not in drivers(robot, tmp_path, "robot")
 
 
 def test_texts_of_a_module_stay_texts(robot: Robot, tmp_path: Path) -> None:
     """Whatever a module states, launch and rcl read it as it is."""
     odd = '$(var x) "\\ 1e3'
     driver = dataclasses.replace(RAW, parameters=(("text", odd), ("number", "017")))
-    node = drivers(with_imu(robot, driver), tmp_path, "robot")["r1/imu/driver"]
-    values = read(node.files[0].read_text(encoding="utf-8"))["/r1/imu/driver"]
+    node = drivers(with_imu(robot, driver), tmp_path, "robot")["r1/imu/imu_node"]
+    values = read(node.files[0].read_text(encoding="utf-8"))["/r1/imu/imu_node"]
     assert values == {"text": odd, "number": "017", "frame_id": "r1/imu_imu"}
