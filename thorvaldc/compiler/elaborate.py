@@ -72,7 +72,7 @@ def elaborate(
         calibration = load_calibration(document, base_dir, report, files)
     launches: tuple[OwnLaunch, ...] = ()
     if document.get("ros") is not None:
-        from thorvaldc.compiler.robot_settings.launch_files import read_launch_files
+        from thorvaldc.compiler.robot_settings.own_launch_files import read_launch_files
 
         launches = read_launch_files(document, base_dir, report, files)
     hardware = _read_hardware(instance, resolver.library, report)
