@@ -29,7 +29,7 @@ FINGERPRINTS = {
     10: "eeb8ff37e77e8014",
     11: "12f0de925b7a4a74",
     12: "aba667ae81428e75",
-    13: "ea23d08a86d326bb",
+    13: "1f486205ccc8da90",
 }
 
 SCHEMA = model_schema()

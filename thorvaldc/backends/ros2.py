@@ -22,6 +22,7 @@ from thorvaldc.backends import ros2_controllers as controllers
 from thorvaldc.backends.mjcf import ros2_control_files
 from thorvaldc.backends.ros2_control import hardware_problem
 from thorvaldc.backends.ros2_parameters import HEADER, Parameters, parameter_file, quoted
+from thorvaldc.backends.ros2_sensors import sensor_nodes
 from thorvaldc.backends.sdf import model_text, world_files
 from thorvaldc.backends.urdf import urdf_text
 from thorvaldc.model import Fleet, Robot
@@ -106,10 +107,13 @@ def package_of(robot: Robot) -> dict[str, bytes]:
         **{path: text.encode() for path, text in launches.items()},
     }
     title = f"The robot {robot.name}, made by thorvaldc"
-    texts = launches.values()
-    return ros2_package_files.package_files(
+    own = ros2_package_files.own_launch_files(robot)
+    plugins |= {f"launch_{kind}" for kind in ("xml", "yaml") for path in own if path.endswith(kind)}
+    texts = [*launches.values(), *(launch.text for launch in robot.ros.launch)]
+    package = ros2_package_files.package_files(
         robot.ros.package, title, robot.ros, files, texts, plugins, robot.description
     )
+    return {**package, **own}
 
 
 def in_any_name_space(robot: Robot, files: Mapping[str, str]) -> dict[str, bytes]:
@@ -158,6 +162,9 @@ def _parameter_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
                     robot, parts, source
                 )
             }
+    drivers = {node.full_name: node.parameters for node in sensor_nodes(robot)}
+    if drivers:
+        files["sensors"] = drivers
     space = ros2_parts.node_space(robot)
     comments = {"base_driver": ros2_parameters.FILTER_NOISE} if parts.localization else {}
     comments["gnss"] = ros2_parameters.HEADING

@@ -14,14 +14,18 @@ from thorvaldc.backends import ros2_parts
 from thorvaldc.backends.ros2_controllers import controllers, twist_controller
 from thorvaldc.backends.ros2_navigation import Motion
 from thorvaldc.backends.ros2_parameters import quoted
+from thorvaldc.backends.ros2_sensors import sensor_nodes
 from thorvaldc.backends.templates import Templates
 from thorvaldc.backends.xml_writer import escape
 from thorvaldc.model import Fleet, Robot, Sensor
 from thorvaldc.model.settings import ANY_FIRST, EKF, RAMP_FIRST, ZERO_FIRST, RosSettings
 
 _NEEDED = re.compile(
-    r'package="([a-z0-9_]+)"|get_package_share_directory\("([a-z0-9_]+)"\)|node\("([a-z0-9_]+)", "'
+    r"""\b(?:package|pkg)=["']([a-z0-9_]+)["']|\bpkg: *["']?([a-z0-9_]+)"""
+    r"""|\b(?:get_package_share_directory|FindPackageShare)\(["']([a-z0-9_]+)["']\)"""
+    r"""|find-pkg-share ([a-z0-9_]+)|\bnode\("([a-z0-9_]+)", \""""
 )
+"""ROS packages that a launch file names, in Python, XML or YAML."""
 _NOBODY = "unknown <unknown@example.org>"
 _RUNTIME = ("ament_index_python", "launch", "launch_ros", "rclpy")
 _MESSAGES = ("builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "nav_msgs", "rcl_interfaces")
@@ -33,6 +37,7 @@ LAUNCHES = {
     "mujoco": "simulation in MuJoCo, with `/clock`",
     "virtual": "the driver on a simulated bus",
     "robot": "the real robot; `bus:=socketcan:can0`",
+    "sensors": "part of `robot`: the drivers of its sensors",
     "teleop": "a pad moves the robot",
     "gazebo": "simulation in Gazebo",
     "ros2_control": "joints of ros2_control; `hardware:=mock`",
@@ -164,9 +169,15 @@ def readme(robot: Robot, parts: ros2_parts.Parts, launches: Iterable[str]) -> st
         topic=partial(ros2_parts.full_topic, robot),
         sensors=sensors,
         launches={name: LAUNCHES[name] for name in launches},
+        own=[own.name for own in robot.ros.launch],
         left_out=parts.left_out,
         beginnings=BEGINNINGS,
     )
+
+
+def own_launch_files(robot: Robot) -> dict[str, bytes]:
+    """Return the launch files of the robot file by their path in the package."""
+    return {f"launch/{own.name}": own.text.encode() for own in robot.ros.launch}
 
 
 def fleet_readme(fleet: Fleet, package: str) -> str:
@@ -237,6 +248,8 @@ def launch_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
     names = ["base", "ideal", "mujoco", "teleop"]
     if robot.buses:
         names += ["virtual", "robot"]
+    if any(sensor.ros2_driver is not None for sensor in robot.sensors):
+        names.append("sensors")
     if parts.gnss is not None:
         names.append("gnss")
     if parts.slam is not None:
@@ -249,6 +262,8 @@ def launch_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
     texts = {}
     for name in names:
         summary, arguments = _BASES.get(name, ("", {}))
+        values["is_real"] = name == "robot"
+        values["own"] = [own.name for own in robot.ros.launch] if name == "robot" else []
         template = "include_base" if name in _BASES else name
         texts[f"launch/{name}.launch.py"] = _LAUNCH_TEMPLATES.render(
             f"{template}.launch.py", summary=summary, arguments=arguments, **values
@@ -279,6 +294,7 @@ def _values(robot: Robot, parts: ros2_parts.Parts) -> dict[str, Any]:
         "command_topic": controller.command_topic if controller is not None else "",
         "odometry_topic": controller.odometry_topic if controller is not None else "",
         "gazebo_clock": ros2_parts.GAZEBO_CLOCK,
+        "sensor_nodes": list(sensor_nodes(robot)),
     }
 
 

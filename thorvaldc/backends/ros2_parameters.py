@@ -155,7 +155,12 @@ def robot_state_publisher(robot: Robot) -> Parameters:
 
 def aggregator(robot: Robot) -> Parameters:
     """Return the ROS 2 parameters of diagnostic_aggregator: the statuses of the base driver in
-    groups, of which those that every base publishes are expected."""
+    groups, of which those that every base publishes are expected, and those of the sensors.
+
+    A status is in each group that matches its name. A regular expression has to match the whole
+    name, so that `battery` does not match `battery_lift_controller`; the names have no character
+    with a meaning in one. Drivers of sensors begin their statuses with the names of their nodes.
+    """
     motors = dict.fromkeys(a.node for a in robot.actuators if a.node is not None)
     batteries = [battery.name for battery in robot.batteries]
     groups = {
@@ -170,12 +175,19 @@ def aggregator(robot: Robot) -> Parameters:
         group: {
             "type": "diagnostic_aggregator/GenericAnalyzer",
             "path": group,
-            "startswith": [start + name for name in names],
+            "regex": [start + name for name in names],
             **(expected if group == "base_driver" else {}),
         }
         for group, names in groups.items()
         if names
     }
+    drivers = [sensor for sensor in robot.sensors if sensor.ros2_driver is not None]
+    if drivers:
+        analyzers["sensors"] = {
+            "type": "diagnostic_aggregator/GenericAnalyzer",
+            "path": "sensors",
+            "startswith": [f"{ros2_parts.sensor_node(sensor)}: " for sensor in drivers],
+        }
     return {"path": robot.name, **analyzers}
 
 

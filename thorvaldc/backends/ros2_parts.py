@@ -178,11 +178,21 @@ class BridgedTopic(NamedTuple):
 CLOCK_TOPIC = BridgedTopic(GAZEBO_CLOCK, f"/{CLOCK}", "rosgraph_msgs/msg/Clock", "gz.msgs.Clock")
 
 
+def sensor_space(sensor: Sensor) -> str:
+    """Return the name space of the topics of a sensor, relative to that of the robot."""
+    return topic_of(sensor.name)
+
+
+def sensor_node(sensor: Sensor) -> str:
+    """Return the name of the node that is the driver of a sensor."""
+    return f"{sensor_space(sensor)}_node"
+
+
 def sensor_topics(sensor: Sensor) -> list[tuple[str, str, str]]:
     """Return the topics of a sensor relative to the name space of the robot, each with its type in
     ROS and in Gazebo; an empty list for a sensor that Gazebo does not simulate."""
     return [
-        (topic_of(f"{sensor.name}/{name}"), ros_type, gazebo_type)
+        (f"{sensor_space(sensor)}/{name}", ros_type, gazebo_type)
         for name, ros_type, gazebo_type in SENSOR_TOPICS.get(sensor.type, ())
     ]
 

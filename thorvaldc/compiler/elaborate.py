@@ -21,12 +21,13 @@ from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.modules.module_tree import Instance, used_by
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.robot_settings import driver_settings, robot_sections
-from thorvaldc.compiler.robot_settings.computer_section import read_computer
+from thorvaldc.compiler.robot_settings.computer_section import check_sensor_ports, read_computer
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import read_section
 from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Inertial, Purchase, Robot
+from thorvaldc.model.settings import OwnLaunch
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.ground_contacts import ground_contacts
 from thorvaldc.model.statics.joint_tree import JointTree
@@ -69,9 +70,14 @@ def elaborate(
         from thorvaldc.compiler.robot_settings.wheel_calibration import load_calibration
 
         calibration = load_calibration(document, base_dir, report, files)
+    launches: tuple[OwnLaunch, ...] = ()
+    if document.get("ros") is not None:
+        from thorvaldc.compiler.robot_settings.own_launch_files import read_launch_files
+
+        launches = read_launch_files(document, base_dir, report, files)
     hardware = _read_hardware(instance, resolver.library, report)
     elaborator = _Elaborator(
-        document, instance, resolver, scope, hardware, calibration, lock or {}, report
+        document, instance, resolver, scope, hardware, calibration, launches, lock or {}, report
     )
     # The source span of a diagnostic about the whole robot is the robot's name.
     span = (document.get("name") or document).span
@@ -123,6 +129,7 @@ class _Elaborator(NamedTuple):
     scope: Scope
     hardware: Mapping[str, Hardware]
     calibration: Calibration | None
+    launches: tuple[OwnLaunch, ...]
     lock: Lock
     report: Report
 
@@ -198,10 +205,11 @@ class _Elaborator(NamedTuple):
         buses = self._wiring(parts, self.report).buses(self.instance, 1.0 / driver.rate, watchdog)
         name = scope.text(document.get("name"))
         ros_section = read_section(document, "robot", "ros", scope)
-        ros = robot_sections.read_ros_settings(ros_section, name, self.report)
+        ros = robot_sections.read_ros_settings(ros_section, name, self.launches, self.report)
         computer_section = read_section(document, "robot", "computer", scope)
         is_stated = document.get("computer") is not None
         computer = read_computer(computer_section, buses, self.report, is_stated=is_stated)
+        check_sensor_ports(parts.sensors, computer, self.report)
         purchases: Mapping[str, Purchase] = {}
         if document.get("purchase") is not None:
             from thorvaldc.compiler.hardware.purchase_reader import read_purchases

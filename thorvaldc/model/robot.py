@@ -17,6 +17,7 @@ from thorvaldc.diagnostics.html_view import HtmlView
 from thorvaldc.model import quantities as si
 from thorvaldc.model.bus import Bus, Scalar
 from thorvaldc.model.robot_computer import Computer
+from thorvaldc.model.ros2_driver import Ros2Driver
 from thorvaldc.model.settings import (
     DEFAULT_SETTINGS,
     CalculatorChoice,
@@ -358,6 +359,7 @@ class Sensor:
     - ``type``: ``lidar_2d``, ``gnss``, ``imu``, ``camera`` or another word of the module type.
     - ``link``: name of the link whose frame is the measurement frame.
     - ``properties``: values of the sensor in SI units, by name.
+    - ``ros2_driver``: its driver on the real robot, or ``None`` if the module states none.
     """
 
     name: str
@@ -366,6 +368,7 @@ class Sensor:
     link: str
     properties: tuple[tuple[str, Scalar], ...]
     span: Span
+    ros2_driver: Ros2Driver | None = None
 
 
 PARALLEL, SEPARATE = "parallel", "separate"

@@ -217,6 +217,14 @@ _PACKAGE = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
 @dataclass(frozen=True, slots=True)
+class OwnLaunch:
+    """A launch file that the robot file adds to the ROS 2 package: its name and its content."""
+
+    name: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class RosSettings:
     """Settings of the ROS 2 package of the robot.
 
@@ -228,6 +236,7 @@ class RosSettings:
     - ``maintainer``: person who maintains the package, ``Name <mail@example.org>``, or an empty
       text.
     - ``version``: version of the package, three numbers with points between them.
+    - ``launch``: further launch files of the package, which the one of the real robot starts last.
     """
 
     distro: str = DISTROS[0]
@@ -236,6 +245,7 @@ class RosSettings:
     license: str = ""
     maintainer: str = ""
     version: str = "0.0.0"
+    launch: tuple[OwnLaunch, ...] = ()
 
     @property
     def stamped(self) -> bool:

@@ -94,7 +94,8 @@ class Started:
     - ``namespace``: name space without the first slash;
     - ``files``: parameter files as the node gets them, with all substitutions resolved;
     - ``sources``: the files that they were made of;
-    - ``on_exit``: what the launch does when it has ended.
+    - ``on_exit``: what the launch does when it has ended;
+    - ``respawn_delay``: time in s after which it is started again, or ``None`` if it is not.
     """
 
     package: str
@@ -107,6 +108,7 @@ class Started:
     remappings: dict[str, str]
     arguments: list[str]
     on_exit: Any
+    respawn_delay: float | None = None
 
     def status_of_launch(self, status: int) -> int | None:
         """Return the exit status of the launch that the end of the process ends, or ``None``."""
@@ -357,6 +359,7 @@ class _Process(Action):
         condition: IfCondition | None = None,
         output: str = "log",
         respawn: bool = False,
+        respawn_delay: float | None = None,
         on_exit: Any = None,
         additional_env: Any = None,
     ) -> None:
@@ -364,6 +367,7 @@ class _Process(Action):
         if output not in ("log", "screen", "both", "own_log", "full"):
             raise LaunchError(f"{output} is no output")
         self.arguments, self.on_exit = list(arguments), on_exit
+        self.respawn_delay = (respawn_delay or 0.0) if respawn else None
 
 
 class Node(_Process):
@@ -408,6 +412,7 @@ class Node(_Process):
                 {context.name(a): context.name(b) for a, b in self.remappings},
                 [context.text(item) for item in self.arguments],
                 self.on_exit,
+                self.respawn_delay,
             )
         )
         for key, value in parameters.items():
@@ -535,7 +540,8 @@ def _modules(context: Context) -> Iterator[None]:
         },
         "launch.conditions": {"IfCondition": IfCondition, "UnlessCondition": UnlessCondition},
         "launch.launch_description_sources": {
-            "PythonLaunchDescriptionSource": PythonLaunchDescriptionSource
+            "AnyLaunchDescriptionSource": PythonLaunchDescriptionSource,  # of Python files
+            "PythonLaunchDescriptionSource": PythonLaunchDescriptionSource,
         },
         "launch.substitutions": {
             "EqualsSubstitution": EqualsSubstitution,

@@ -20,9 +20,7 @@ from thorvaldc.backends.ros2_parameters import teleop, twist_mux
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.runtime.calculators import Noise
-from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.run_time_parameters import Parameters
-from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 
 def flat(value: Any, prefix: str = "") -> dict[str, Any]:
@@ -144,20 +142,3 @@ def test_a_robot_without_wheels_has_no_empty_lists() -> None:
     robot = make_robot([])
     assert isinstance(robot, Robot)
     assert parameters(robot)["/base_driver"]
-
-
-@pytest.mark.parametrize("name", ["4wd4ws_wide", "car"])
-def test_the_aggregator_has_a_group_for_each_status_of_the_base_driver(name: str) -> None:
-    robot = variant(name, namespace="r1")
-    simulated = SimulatedRobot(robot)
-    simulated.power_on()
-    interfaces = {bus.name: simulated.interface(bus.name, fifo=True) for bus in robot.buses}
-    base = CanBase(robot, interfaces, threaded=False)
-    published = [f"r1/base_driver: {status.name}" for status in base.component_statuses(0.0)]
-    values = parameters(robot)["/r1/analyzers"]
-    starts = {k: v for k, v in values.items() if k.endswith(".startswith")}
-    for status in published:
-        groups = [k for k, v in starts.items() if any(map(status.startswith, v))]
-        assert len(groups) == 1, status
-    assert f"r1/base_driver: bus {robot.buses[0].name}" in published
-    assert values["base_driver.expected"][0] == "r1/base_driver: driver"

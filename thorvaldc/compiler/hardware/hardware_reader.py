@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 from thorvaldc import model
 from thorvaldc.compiler.hardware import joint_reader
+from thorvaldc.compiler.hardware.ros2_driver_reader import read_ros2_driver
 from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY, ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope, hint_of_known
 from thorvaldc.compiler.shapes.meshes import load_mesh
@@ -279,7 +280,9 @@ class _HardwareReader:
         properties = node.get("properties")
         if kind in SENSOR_NUMBERS:
             self._check_numbers(kind, properties or Node({}, node.span))
-        return model.Sensor("", "", kind, link, self.values.properties(properties), node.where)
+        driver = read_ros2_driver(node.get("ros2_driver"), kind, self.values)
+        numbers = self.values.properties(properties)
+        return model.Sensor("", "", kind, link, numbers, node.where, driver)
 
     def _check_numbers(self, kind: str, properties: Node) -> None:
         """Checks the numbers of a simulated sensor; other properties are for other programs."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from thorvaldc.compiler.source.node import Node, insertion
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import FIRST_USE, Label, Report, Span, did_you_mean
-from thorvaldc.model import Bus
+from thorvaldc.model import Bus, Sensor
 from thorvaldc.model.robot_computer import (
     CanAdapter,
     Computer,
@@ -99,6 +99,23 @@ def _report_unknown(bus: str, section: Section, entry: Section | None, report: R
         (entry or section).node.where,
         hint=hint,
     )
+
+
+def check_sensor_ports(sensors: Sequence[Sensor], computer: Computer, report: Report) -> None:
+    """Reports sensors whose driver uses a serial port that the computer of the robot lacks."""
+    known = [name for name, _ in computer.ports]
+    for sensor in sensors:
+        for _, port in sensor.ros2_driver.ports if sensor.ros2_driver is not None else ():
+            if port.startswith("/") or port in known:
+                continue
+            have = f"it has {', '.join(known)}" if known else "it has none"
+            report.add(
+                "unknown-value",
+                f"the robot's computer has no serial port `{port}` for `{sensor.name}`; {have}",
+                sensor.span,
+                hint=f"add `computer: {{ports: {{{port}: {{serial: ...}}}}}}` to the robot file, or"
+                " write the path of a device, such as `/dev/ttyUSB0`",
+            )
 
 
 def _check_devices(section: Section, report: Report) -> None:

@@ -182,10 +182,13 @@ def _check_voltages(batteries: Sequence[Battery], connection: Node, report: Repo
             )
 
 
-def read_ros_settings(section: Section, robot_name: str, report: Report) -> ros.RosSettings:
+def read_ros_settings(
+    section: Section, robot_name: str, launches: tuple[ros.OwnLaunch, ...], report: Report
+) -> ros.RosSettings:
     """Returns the settings of the ROS 2 package of a robot: the section `ros` of its document.
 
-    The default name of the package is made from the name of the robot.
+    The default name of the package is made from the name of the robot.  ``launches``: the launch
+    files that the section names.
     """
     package = section.get("package", ros.package_name(robot_name or ros.RosSettings().package))
     if "package" in section:
@@ -200,8 +203,12 @@ def read_ros_settings(section: Section, robot_name: str, report: Report) -> ros.
                     ros.package_name(package),
                 ),
             )
-    texts = [_stated_text(section, key, *form, report) for key, form in _MANIFEST.items()]
-    return ros.RosSettings(section["distro"], section["odom_tf"], package, *texts)
+    licence, maintainer, version = (
+        _stated_text(section, key, *form, report) for key, form in _MANIFEST.items()
+    )
+    return ros.RosSettings(
+        section["distro"], section["odom_tf"], package, licence, maintainer, version, launches
+    )
 
 
 _MANIFEST = {

@@ -30,7 +30,7 @@ def generate_launch_description():
                 "guard": "true",
                 "use_sim_time": "true",
             }.items(),
-        )
+        ),
     )
 
 

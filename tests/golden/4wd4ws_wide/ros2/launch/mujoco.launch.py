@@ -29,7 +29,7 @@ def generate_launch_description():
                 "use_sim_time": "true",
                 "publish_clock": "true",
             }.items(),
-        )
+        ),
     )
 
 

@@ -27,7 +27,7 @@ def generate_launch_description():
             launch_arguments={
                 "base": "virtual",
             }.items(),
-        )
+        ),
     )
 
 
