@@ -75,7 +75,10 @@ def test_versions_lie_side_by_side_and_edits_are_kept(root: Path, thorvaldc: Com
     assert os.readlink(root / "etc/thorvaldc/good/current") == "versions/2"
 
 
-def test_libraries_above_the_robot_file_come_along(root: Path, thorvaldc: Command) -> None:
+@pytest.mark.parametrize("is_absolute", [False, True])
+def test_libraries_above_the_robot_file_come_along(
+    root: Path, thorvaldc: Command, is_absolute: bool
+) -> None:
     thorvaldc("modules", "new", "tool/plate", "--library", "../shelf")
     Path("../.hidden").write_text("x", encoding="utf-8")
     Path("good.yaml").write_text(
@@ -86,7 +89,8 @@ def test_libraries_above_the_robot_file_come_along(root: Path, thorvaldc: Comman
         ),
         encoding="utf-8",
     )
-    outcome = thorvaldc("install", "good.yaml", "--root", str(root))
+    file = os.path.abspath("good.yaml") if is_absolute else "good.yaml"
+    outcome = thorvaldc("install", file, "--root", str(root))
     assert outcome.status == 0, outcome.err
     assert read(root, f"{NAME}/current/robot/good.yaml")
     assert not any("hidden" in path for path in tree(root))

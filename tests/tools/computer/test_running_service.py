@@ -106,7 +106,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("container")]
 
 def test_the_service_starts_disarmed_as_its_user(record: dict[str, Any]) -> None:
     status, text = record["install"]
-    assert (status, "did not start" in text) == (0, False)
+    assert (status, "does not start" in text) == (0, False)
     assert record["process"][1].split() == ["robot", "FF", "20"]
     started = record["started"]
     assert (started["armed"], started["moved"], started["fault"]) == (False, False, "")

@@ -95,7 +95,7 @@ def _read_robots(
             "scenario-robots-missing",
             "the scenario has neither `robots` nor a `fleet`",
             node.span,
-            hint="add one of them, or name a robot: thorvaldc sim robot.yaml --scenario FILE",
+            hint="add one of them, or name a robot: thorvaldc scenario FILE --robot robot.yaml",
         )
         return None
     if part is None:

@@ -50,6 +50,7 @@ def install(
 
     if host:
         check_host(host, root)
+    file = os.path.relpath(file)  # absolute names are those of files that belong to others
     # The service builds the file without options, and root runs no program of others (`--trust`).
     loaded = load_robot(file, [], False)
     robot, computer = loaded.robot, Computer(root_folder(root))
@@ -76,8 +77,8 @@ def install(
     with write_errors(computer.folder(version.name)):
         computer.install(version)
     if not root:
-        service = service_of(robot)
-        _reload(["systemctl", "restart", service])
+        _reload()
+        _run(["systemctl", "restart", service_of(robot)], "the service does not start")
         message(
             f"`thorvaldc logs {version.name}` shows what it does; an interface that was in use gets"
             " its new name at the next boot"
@@ -115,7 +116,7 @@ def uninstall(
         return DONE
     if not root:
         _check_at_rest(computer, name)
-        _run(["systemctl", "stop", *computer.units(name)])
+        _run(["systemctl", "stop", *computer.units(name)], "the service may still run")
     with write_errors(computer.folder(name)):
         computer.uninstall(name)
     if not root:
@@ -178,7 +179,7 @@ def _check_at_rest(computer: Computer, name: str) -> None:
     from thorvaldc.runtime.control_channel import ControlClient
 
     for unit, text in computer.units(name).items():
-        if starts_ros(text) and _run(["systemctl", "is-active", "--quiet", unit], warns=False):
+        if starts_ros(text) and _run(["systemctl", "is-active", "--quiet", unit]):
             raise OutsideError(f"the robot may be armed: systemctl stop {unit}")
     channel = CONTROL.format(name=name)
     try:
@@ -190,26 +191,32 @@ def _check_at_rest(computer: Computer, name: str) -> None:
             raise OutsideError(f"the robot is armed: thorvaldc call {channel} disarm")
 
 
-def _reload(*last: Sequence[str]) -> None:
-    """Lets systemd and udev read their files again, and runs the command ``last``."""
-    for command in (
-        ["systemctl", "daemon-reload"],
-        ["udevadm", "control", "--reload"],
+def _reload() -> None:
+    """Lets systemd and udev read their files again."""
+    _run(["systemctl", "daemon-reload"], "systemd did not read its files")
+    if _run(["udevadm", "control", "--reload"], "devices get their names at the next boot"):
         # With `add`, interfaces that are down get their names, too.
-        ["udevadm", "trigger", "--action=add", "--subsystem-match=net"],
-        ["udevadm", "trigger", "--subsystem-match=tty", "--subsystem-match=input"],
-        ["networkctl", "reload"],
-        *last,
-    ):
-        _run(command)
+        _run(["udevadm", "trigger", "--action=add", "--subsystem-match=net"])
+        _run(["udevadm", "trigger", "--subsystem-match=tty", "--subsystem-match=input"])
+    _run(["networkctl", "reload"], "CAN interfaces need systemctl enable --now systemd-networkd")
+    _run(["systemctl", "try-restart", "systemd-timesyncd.service"])
 
 
-def _run(command: Sequence[str], *, warns: bool = True) -> bool:
-    """Runs a command, and returns whether it succeeded."""
+def _run(command: Sequence[str], failure: str = "") -> bool:
+    """Runs a command, and returns whether it succeeded.
+
+    ``failure``: what follows if it does not, for a warning, or empty.
+    """
     try:
-        subprocess.run(command, check=True, timeout=120.0)
+        subprocess.run(command, check=True, timeout=120.0, capture_output=True, text=True)
+        return True
+    except FileNotFoundError:
+        reason = f"there is no {command[0]}"
+    except subprocess.CalledProcessError as error:
+        lines = str(error.stderr).strip().splitlines() or [f"exit status {error.returncode}"]
+        reason = f"{command[0]}: {lines[0]}"
     except (OSError, subprocess.SubprocessError) as error:
-        if warns:
-            message(f"warning: {error}")
-        return False
-    return True
+        reason = str(error)
+    if failure:
+        message(f"warning: {failure} ({reason})")
+    return False
