@@ -69,7 +69,7 @@ def test_statics_are_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = make_robot(FOUR_STEERED)
     emit(robot, ["urdf", "can"])
     assert solved == []
-    emit(robot, ["urdf", "mjcf", "ros2"])
+    emit(robot, ["urdf", "mjcf", "sdf"])
     assert solved == [robot.name]
 
 

@@ -40,7 +40,7 @@ class OldWord(NamedTuple):
 
 _RANDOM_PAIRS = (
     "this calculator is a package of its own: `pip install bench/random_pairs` in a checkout of"
-    " thorvaldc, or write `general`"
+    " thorvaldc; `general` is for the same bases"
 )
 OLD_WORDS: tuple[OldWord, ...] = (
     OldWord(
