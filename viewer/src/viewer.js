@@ -5,7 +5,7 @@
 
 import {
   AmbientLight, AxesHelper, Box3, BufferAttribute, BufferGeometry, Color, DirectionalLight, DoubleSide, Group,
-  FrontSide, LineBasicMaterial, LineSegments, Mesh, MeshLambertMaterial, PerspectiveCamera, Quaternion, Raycaster, Scene, Vector2,
+  FrontSide, Line, LineBasicMaterial, LineSegments, Mesh, MeshLambertMaterial, PerspectiveCamera, Quaternion, Raycaster, Scene, Vector2,
   Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
@@ -18,9 +18,26 @@ const TURNS = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], A
 const ZOOMS = { "+": 0.9, "=": 0.9, "-": 1 / 0.9 };
 const FLAT = ["ground", "zone"]; // parts of the world that may be much larger than what stands on it
 const REST = 400; // ms
-const MAX_GRID = 60; // m, half the side
+const GRID = 60; // m, half the side
+const TRAIL_STEP = 0.1; // m, between points of a way
 const RANKS = ["free", "", "taken"]; // kinds of labels, the most important first
 const SHIFTS = [0, -1, 1, -2, 2]; // places of a label beside its own, in lines
+
+// Squares of 1 m around the origin, which fade with the distance. Short pieces: renderers without a GPU drop lines that pass the camera.
+function squares(n, piece = 4) {
+  const points = [], colors = [];
+  for (let i = -n; i <= n; i++)
+    for (let k = -n; k < n; k += piece)
+      for (const [x, y] of [[i, k], [i, k + piece], [k, i], [k + piece, i]]) {
+        points.push(x, y, 0);
+        colors.push(1, 1, 1, Math.max(0, 1 - Math.hypot(x, y) / n));
+      }
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new BufferAttribute(new Float32Array(points), 3));
+  geometry.setAttribute("color", new BufferAttribute(new Float32Array(colors), 4));
+  const material = new LineBasicMaterial({ color: 0x9aa2a8, vertexColors: true, transparent: true, opacity: 0.45 });
+  return new LineSegments(geometry, material);
+}
 
 function place(object, [x, y, z, qw, qx, qy, qz]) {
   object.position.set(x, y, z);
@@ -184,7 +201,8 @@ export class Viewer {
     this.selected = null;
     this.isGrey = false;
     this.names = false;
-    this.lines = new LineBasicMaterial({ color: 0x9aa2a8, transparent: true, opacity: 0.45 });
+    this.grid = squares(GRID);
+    this.trail = new Line(new BufferGeometry(), new LineBasicMaterial({ color: SELECTED }));
     this.retired = []; // materials and geometries to dispose of
     this.shown = { sensor: false, link: false, port: false };
     this.surroundings = null;
@@ -292,16 +310,10 @@ export class Viewer {
   }
 
   addGrid() {
-    if (this.grid) this.grid.geometry.dispose();
-    const center = this.bounds().getCenter(new Vector3()), x = Math.round(center.x), y = Math.round(center.y);
-    const n = Math.min(MAX_GRID, Math.ceil(4 + 2 * (this.radius || 1))), lines = [];
-    for (let i = -n; i <= n; i++) lines.push(x + i, y - n, 0, x + i, y + n, 0, x - n, y + i, 0, x + n, y + i, 0);
-    const geometry = new BufferGeometry();
-    geometry.setAttribute("position", new BufferAttribute(new Float32Array(lines), 3));
-    this.grid = new LineSegments(geometry, this.lines);
     // Rough ground has squares of its own.
     this.grid.visible = !this.surroundings || !this.surroundings.meshes.some((mesh) => mesh.userData.kind === "ground");
     this.world.add(this.grid);
+    this.way = [];
   }
 
   setJoint(robot, name, value) {
@@ -315,13 +327,19 @@ export class Viewer {
     this.redraw();
   }
 
-  // Moves the base of a robot, and the camera with it.
+  // Moves the base of a robot, and the camera with it, and draws its way on the ground.
   follow(robot, pose) {
     const base = this.robots[robot].base, before = base.position.clone();
     place(base, pose);
     const way = base.position.clone().sub(before).applyQuaternion(this.world.quaternion);
     this.camera.position.add(way);
     this.controls.target.add(way);
+    if (!this.way.length || base.position.distanceTo(this.way.at(-1)) > TRAIL_STEP) {
+      this.way.push(base.position.clone());
+      this.retired.push(this.trail.geometry);
+      this.trail.geometry = new BufferGeometry().setFromPoints(this.way);
+      this.world.add(this.trail);
+    }
     this.redraw();
   }
 
@@ -389,6 +407,9 @@ export class Viewer {
     this.sun.position.copy(this.camera.position).add(new Vector3(0.3, 0.2, 1.5).multiplyScalar(this.radius || 1));
     this.sun.target.position.copy(this.controls.target);
     this.sun.target.updateMatrixWorld();
+    // The ground has no end: its squares are those around the target.
+    const { x, y } = this.world.worldToLocal(this.controls.target.clone());
+    this.grid.position.set(Math.round(x), Math.round(y), 0);
     let triangles = 0;
     if (this.renderer) {
       // Each of these calls makes a new buffer for the picture.

@@ -205,6 +205,14 @@ def test_each_control_is_reached_with_the_keyboard(page: Page) -> None:
     assert page.evaluate("viewer.camera.position.x") != before
 
 
+def test_the_ground_has_no_end(page: Page) -> None:
+    moved = (
+        "viewer.controls.target.set(40.4, -7.6, 0); viewer.draw(); viewer.grid.position.toArray()"
+    )
+    assert page.evaluate(moved) == [40, -8, 0]
+    assert page.evaluate("viewer.grid.visible")
+
+
 @pytest.mark.slow
 def test_the_robot_drives_while_a_key_is_held(page: Page) -> None:
     page.click("#drive")
@@ -217,6 +225,7 @@ def test_the_robot_drives_while_a_key_is_held(page: Page) -> None:
     page.keyboard.down("w")
     wait_until(page, lambda: position(page) > start + 0.2)
     page.keyboard.up("w")
+    assert page.evaluate("viewer.way.length") > 1  # drawn on the ground
     page.wait_for_timeout(2500)
     stopped = position(page)
     page.wait_for_timeout(500)
