@@ -8,6 +8,9 @@ function element(name, text, className) {
   return element;
 }
 
+// Ids of other protocols than CANopen are a range of their own: the battery 1 and the controller 1 share no id.
+const idOf = ({ id, id_space: space }) => (space ? (space === "canopen" ? "" : `${space} `) + id : "");
+
 const kilograms = (mass) => `${mass.toFixed(mass < 10 ? 2 : 1)} kg`;
 
 // The parts of a robot, by module: mass, links and addresses.
@@ -21,7 +24,7 @@ function partsOf(design) {
     part(link.module).mass += link.mass;
     part(link.module).links.push(link.name);
   }
-  for (const node of design.nodes) part(node.module).ids.push(`${node.bus} ${node.id}`);
+  for (const node of design.nodes) part(node.module).ids.push(`${node.bus} ${idOf(node)}`);
   return byModule;
 }
 
@@ -40,7 +43,7 @@ function partRows(design, select) {
 function nodeRows(design) {
   return design.nodes.map((node) => {
     const row = element("tr");
-    row.append(element("td", node.bus), element("td", node.name), element("td", String(node.id), "number"), element("td", node.serial || ""));
+    row.append(element("td", node.bus), element("td", node.name), element("td", idOf(node), "number"), element("td", node.serial || ""));
     return row;
   });
 }
@@ -80,7 +83,7 @@ function selectionLines(robot, name, part) {
   const addLine = (text) => lines.push(element("div", text));
   if (part.mass) addLine(`mass ${kilograms(part.mass)}`);
   for (const node of design.nodes)
-    if (node.module === name) addLine(`CAN ${node.bus}: ${node.name}, id ${node.id}${node.serial ? `, serial ${node.serial}` : ""}`);
+    if (node.module === name) addLine(`CAN ${node.bus}: ${node.name}, id ${idOf(node)}${node.serial ? `, serial ${node.serial}` : ""}`);
   for (const link of part.links) {
     const at = robot.at(link).map((v) => v.toFixed(3).replace(/^-(0\.0+)$/, "$1"));
     addLine(`${link} at ${at.join(", ")} m`);

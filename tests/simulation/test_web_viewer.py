@@ -49,8 +49,8 @@ def test_the_page_has_parts_joints_ids_and_surfaces() -> None:
     (design,) = data(view_page(robot))["designs"]
     mass = sum(link["mass"] for link in design["links"])
     assert mass == pytest.approx(robot.inertial.mass, abs=1e-3)
-    ids = [(n["bus"], n["name"], n["id"]) for n in design["nodes"]]
-    assert ids == [(b.name, n.name, n.id) for b in robot.buses for n in b.nodes]
+    ids = [(n["bus"], n["name"], n["id"], n["id_space"]) for n in design["nodes"]]
+    assert ids == [(b.name, n.name, n.id, n.id_space) for b in robot.buses for n in b.nodes]
     assert ids
     assert {j["name"] for j in design["joints"]} == {j.name for j in robot.joints}
     limits = {j.name: (j.lower, j.upper) for j in robot.joints if j.type == "prismatic"}

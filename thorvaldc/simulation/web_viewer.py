@@ -203,6 +203,7 @@ def robot_data(robot: Robot, shapes: Shapes, ports: Sequence[MountingPort]) -> d
                 "name": node.name,
                 "module": node.module,
                 "id": node.id,
+                "id_space": node.id_space,
                 "serial": node.serial,
             }
             for bus in robot.buses
