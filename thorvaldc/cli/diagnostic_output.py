@@ -16,7 +16,6 @@ import typer
 
 from thorvaldc.cli.exits import DONE, INPUT, OUTSIDE
 from thorvaldc.diagnostics import DiagnosticError, Report
-from thorvaldc.diagnostics.codes import STRUCTURE
 
 if TYPE_CHECKING:  # the runtime package has no simulation
     from thorvaldc.simulation.control_loop import ControlLoop
@@ -80,8 +79,8 @@ class DiagnosticOutput:
             counts += [count(warnings, "warning")] * (warnings > 0)
             if counts:
                 files = count(self._file_count, "file")
-                structural = any(d.code.number[2] in STRUCTURE for d in self._all.errors)
-                more = "; more checks follow when they are corrected" if structural else ""
+                hides = self._all.hides_checks
+                more = "; more checks follow when they are corrected" if hides else ""
                 print(f"{' and '.join(counts)} in {files}{more}", file=self.stream)
         elif self.format != "text":
             from thorvaldc.diagnostics.renderers import render

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from thorvaldc.diagnostics.codes import CODES, Code, all_codes, page
+from thorvaldc.diagnostics.codes import CODES, STRUCTURE, Code, all_codes, page
 from thorvaldc.diagnostics.html_view import HtmlView
 
 _MAX_TEXT = 2000  # characters of a message or hint
@@ -307,6 +307,11 @@ class Report(HtmlView):
     def errors(self) -> list[Diagnostic]:
         """The diagnostics that are errors, in the order of detection."""
         return [d for d in self if d.severity is Severity.ERROR]
+
+    @property
+    def hides_checks(self) -> bool:
+        """True if an error of the structure keeps later checks from running."""
+        return any(d.code.number[2] in STRUCTURE for d in self.errors)
 
     @property
     def warnings(self) -> list[Diagnostic]:

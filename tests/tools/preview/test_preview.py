@@ -145,7 +145,7 @@ def test_a_change_an_error_and_the_way_back(preview: Preview, page: Page) -> Non
     assert "hint: known keys are `thorvaldc`" in page.inner_text(".diagnostic")
     wait_for_change(page, before)
     assert page.evaluate("viewer.isGrey && viewer.robots.length") == 1
-    assert "1 error" in page.inner_text("#status")
+    assert "1 error; more checks follow" in page.inner_text("#status")
     before = version(page)
     preview.save(GOOD.replace("thorvald_4wd4ws_wide", "renamed"))
     wait_for_change(page, before)

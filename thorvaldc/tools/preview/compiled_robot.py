@@ -70,6 +70,7 @@ class CompiledRobot:
         self._data: dict[str, Any] | None = None
         self._keys: list[str] = []
         self._diagnostics: list[dict[str, Any]] = []
+        self._hides_checks = False
         self._stages: dict[str, float] = {}
         self._meshes: MeshCache = {}
         self._signature: Signature = {}
@@ -95,6 +96,7 @@ class CompiledRobot:
         self.folders = watched
         compiled = time.perf_counter()
         self._diagnostics = _diagnostics(compilation, self.path.parent)
+        self._hides_checks = compilation.report.hides_checks
         self.is_good = compilation.model is not None
         if compilation.model is not None:
             self._before, self.model = self.model, compilation.model
@@ -125,6 +127,7 @@ class CompiledRobot:
             "good": self.is_good,
             "model": model,
             "diagnostics": self._diagnostics,
+            "hides_checks": self._hides_checks,
             "can_drive": self.model is not None,
             "stages": self._stages,
         }
