@@ -297,7 +297,7 @@ def test_the_back_driving_torque_is_that_at_the_joint(workshop: Workshop) -> Non
         ("brake: {torque: 2 N m, closing_time: -1 ms}", ["size-not-positive"]),
         ("back_driving_torque: -1 N m", ["size-not-positive"]),
         ("brake: {torque: 2 N m}", ["missing-key"]),
-        ("brake: yes_please", ["bad-id"]),
+        ("brake: yes_please", ["unknown-value"]),
     ],
 )
 def test_impossible_brakes_are_errors(workshop: Workshop, stated: str, codes: list[str]) -> None:

@@ -84,7 +84,7 @@ def test_a_serial_port_is_one_of_the_computer_or_a_path(workshop: Workshop) -> N
         ("frame: frame_id", "frame: [a]", "wrong-type"),
         ("frame: frame_id", "frames: frame_id", "unknown-key"),
         ("package: scanner", "package: Scanner", "bad-id"),
-        ("{scan: cloud/scan}", "{scan: 'cloud scan'}", "bad-id"),
+        ("{scan: cloud/scan}", "{scan: 'cloud scan'}", "unknown-value"),
         ("{scan: cloud/scan}", "{scans: cloud/scan}", "unknown-key"),
         ("{scan: cloud/scan}", "{}", "wrong-length"),
         ("retries: 3", "retries: [3]", "wrong-type"),
