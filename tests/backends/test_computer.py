@@ -5,6 +5,8 @@ from __future__ import annotations
 import configparser
 from pathlib import Path
 
+import pytest
+
 from tests.cli.conftest import GOOD
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
@@ -128,6 +130,15 @@ def test_discovery_and_time(tmp_path: Path) -> None:
     assert "Environment=ROS_STATIC_PEERS=10.0.0.20;laptop.local\n" in unit
     time = sections(files["time/50-good.conf"])["Time"]
     assert time["NTP"] == "10.0.0.1 ntp.farm.example"
+
+
+@pytest.mark.parametrize("setting", ["discovery: localhost", "peers: [10.0.0.20]"])
+def test_zenoh_has_its_discovery_elsewhere(tmp_path: Path, setting: str) -> None:
+    section = f"computer: {{ros: {{workspace: /opt/ws, middleware: rmw_zenoh_cpp, {setting}}}}}\n"
+    path = tmp_path / "good.yaml"
+    path.write_text(GOOD + section, encoding="utf-8")
+    (error,) = compile_file(path).report.errors
+    assert (error.code.name, setting.split(":")[0] in error.message) == ("conflicting-keys", True)
 
 
 def test_a_peer_that_is_no_address_is_an_error(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ places; the robot file and the files that it names are beside them, in ``FOLDER`
 
 Sources: systemd.link(5), systemd.network(5), systemd.service(5), systemd.exec(5) of systemd 249;
 the properties of devices are those of udev's builtins `usb_id` and `path_id`; timesyncd.conf(5);
-tmpfiles.d(5); the variables of the discovery of ROS 2 are those of rmw_dds_common since Iron.
+tmpfiles.d(5); the variables of the discovery of ROS 2 are those of rcl/discovery_options.h.
 """
 
 from __future__ import annotations
@@ -122,6 +122,13 @@ def _argument(text: str) -> str:
     for character, escaped in (("\\", "\\\\"), ('"', '\\"'), ("%", "%%"), ("$", "$$")):
         text = text.replace(character, escaped)
     return f'"{text}"'
+
+
+def robot_file_of(unit: str) -> str:
+    """Return the name of the robot file that a unit builds, or an empty text."""
+    match = re.search(r'^ExecStartPre=.* build "(.*)" --target ', unit, re.MULTILINE)
+    text = match[1] if match else ""
+    return re.sub(r'\\([\\"])|%(%)|\$(\$)', lambda m: m[1] or m[2] or m[3], text)
 
 
 def starts_ros(unit: str) -> bool:

@@ -171,6 +171,14 @@ def test_a_contradiction_stands_once_at_its_line(
             assert section[:4] == error.message.partition("0x")[2][:4]
 
 
+def test_the_eds_has_the_path_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    error, *_ = check(Path(), objects=OBJECTS.replace("2000 rw 6", "2F00 rw 6"))
+    assert error.span is not None
+    files = {error.span.file, *(label.span.file for label in error.labels)}
+    assert not any(Path(file).is_absolute() for file in files)
+
+
 def test_a_pdo_that_the_device_does_not_have_is_two_errors(tmp_path: Path) -> None:
     objects = OBJECTS.replace("1800sub", "1801sub").replace("1A00sub", "1A01sub")
     errors = check(tmp_path, objects=objects)

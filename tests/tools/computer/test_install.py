@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.child_process import ChildProcess
+from tests.child_process import ChildProcess, before_other_processes
 from tests.cli.conftest import GOOD, Command
 from tests.tools.computer.conftest import tree
 from thorvaldc.tools.computer.installed_versions import Computer
@@ -217,6 +217,14 @@ def test_the_status_of_a_robot_that_does_not_run(root: Path, thorvaldc: Command)
     assert "`modulse`" in values["errors"][0]
 
 
+def test_the_status_of_a_robot_whose_file_has_an_odd_name(root: Path, thorvaldc: Command) -> None:
+    name = 'mower "7" 50 %$HOME\\.yaml'
+    Path("good.yaml").rename(name)
+    assert thorvaldc("install", name, "--root", str(root)).status == 0
+    shown = thorvaldc("status", "--root", str(root))
+    assert shown.out == "good: version 1\n  the base driver does not run\n"
+
+
 def test_the_status_of_a_robot_with_ros(root: Path, thorvaldc: Command) -> None:
     Path("good.yaml").write_text(GOOD + "computer: {ros: {workspace: /opt/ws}}\n", encoding="utf-8")
     thorvaldc("install", "good.yaml", "--root", str(root))
@@ -281,12 +289,16 @@ def test_the_start_line_drives_a_simulated_robot_disarmed(
     notified = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     notified.bind(str(tmp_path / "notify"))
     notified.settimeout(60.0)
-    simulated = ChildProcess([*program, "bus", "good.yaml", "--channel", bus_socket])
+    simulated = ChildProcess(
+        [*program, "bus", "good.yaml", "--channel", bus_socket], preexec_fn=before_other_processes
+    )
     environment = {**os.environ, "NOTIFY_SOCKET": f"{tmp_path}/notify", "WATCHDOG_USEC": "2000000"}
     try:
         while not Path(bus_socket).exists():
             assert simulated.poll() is None
-        driver = ChildProcess(command(lines["ExecStart"]), env=environment)
+        driver = ChildProcess(
+            command(lines["ExecStart"]), env=environment, preexec_fn=before_other_processes
+        )
         try:
             assert notified.recv(100).startswith(b"READY=1")
             assert notified.recv(100) == b"WATCHDOG=1"

@@ -19,8 +19,6 @@ from thorvaldc.compiler.bus.device_sections import (
     TPDO,
     Device,
 )
-from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY, FILE
-from thorvaldc.compiler.source.input_file import check_no_link_outside, report_missing
 from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import FrameDefinition, Node, ObjectValue
@@ -49,18 +47,8 @@ def dictionary_of(device: Device, report: Report) -> Dictionary | None:
     # Only a robot with an EDS file loads the module that starts worker processes.
     from thorvaldc.compiler.bus.device_file import read_eds
 
-    file = str(named.value)
-    path, display = module.folder / file, f"{module.display.removesuffix(FILE)}{file}"
-    if not path.is_file():
-        report_missing("file-not-found", module.folder, named, SUFFIXES, report)
-        return None
-    is_builtin = module.display.startswith(BUILTIN_LIBRARY)
-    if not is_builtin and not check_no_link_outside(
-        path, module.library_folder, display, report, named.span
-    ):
-        return None
-    device.scope.library.add_file(display, path)
-    return read_eds(path, display, report)
+    file = device.scope.library.file_beside(module, named, SUFFIXES, report)
+    return None if file is None else read_eds(*file, report)
 
 
 def check_against_eds(

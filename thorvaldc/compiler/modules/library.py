@@ -17,11 +17,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from thorvaldc.compiler.source.input_file import check_no_link_outside, unsaved_text
+from thorvaldc.compiler.source.input_file import (
+    check_no_link_outside,
+    report_missing,
+    unsaved_text,
+)
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check
-from thorvaldc.diagnostics import Report, did_you_mean
+from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.model.plugins import data_folder
 
 Content = TypeVar("Content")
@@ -162,13 +166,15 @@ def _load_module(name: str, path: Path, display: str, report: Report) -> ModuleT
     return _read_cached(_module_cache, path, display, report, read)
 
 
-def _is_in_library(path: Path, folder: Path, display: str, report: Report) -> bool:
+def _is_in_library(
+    path: Path, folder: Path, display: str, report: Report, span: Span | None = None
+) -> bool:
     """Returns whether a file is in its library folder after its links, and reports an error if not.
 
     The built-in library comes with this program, and some installations of it consist of links.
     """
     is_builtin = display.startswith(BUILTIN_LIBRARY)
-    return is_builtin or check_no_link_outside(path, folder, display, report)
+    return is_builtin or check_no_link_outside(path, folder, display, report, span)
 
 
 class Library:
@@ -194,9 +200,25 @@ class Library:
         """Path of each library file that was read, by the name of the file in diagnostics."""
         return dict(self._files)
 
-    def add_file(self, display: str, path: Path) -> None:
-        """Adds a file that a module names, such as an EDS, to ``files``."""
+    def file_beside(
+        self, module: ModuleType, named: Node, suffixes: Sequence[str], report: Report
+    ) -> tuple[Path, str] | None:
+        """Returns the path of a file beside a module document, and its name in diagnostics.
+
+        Reports a missing file and a link out of the library.  The file is one of ``files`` then.
+
+        - ``named``: YAML node with the name of the file.
+        - ``suffixes``: name suffixes of such files, without the dot.
+        """
+        path = self._files[module.display].parent / str(named.value)
+        display = f"{module.display.removesuffix(FILE)}{named.value}"
+        if not path.is_file():
+            report_missing("file-not-found", module.folder, named, suffixes, report)
+            return None
+        if not _is_in_library(path, module.library_folder, display, report, named.span):
+            return None
         self._files[display] = path
+        return path, display
 
     def user_modules(self) -> list[ModuleType]:
         """Returns the module types that were loaded from the folders of the user."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from thorvaldc.compiler.source.node import Node, insertion
+from thorvaldc.compiler.source.node import Node, insertion, removal
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import FIRST_USE, Label, Report, Span, did_you_mean
 from thorvaldc.model import Bus, Sensor
@@ -15,6 +15,8 @@ from thorvaldc.model.robot_computer import (
     UsbDevice,
     interface_name,
 )
+
+_ZENOH = "rmw_zenoh"
 
 
 def read_computer(
@@ -29,22 +31,35 @@ def read_computer(
     ports = tuple((name, _device(entry)) for name, entry in section["ports"].items())
     joystick = _device(section["joystick"]) if "joystick" in section else None
     _check_devices(section, report)
-    ros = section["ros"]
-    start = RosStart(
-        ros["workspace"],
-        ros["domain"],
-        ros["middleware"],
-        ros["discovery"],
-        tuple(ros["peers"]),
-    )
     return Computer(
         section["user"],
         section["program"],
         adapters,
         ports,
         joystick,
-        start if "ros" in section else None,
+        _ros_start(section["ros"], report) if "ros" in section else None,
         tuple(section["time_servers"]),
+    )
+
+
+def _ros_start(ros: Section, report: Report) -> RosStart:
+    """Returns how ROS 2 is started.
+
+    Reports settings of the discovery for rmw_zenoh, which ignores them: a robot would be reachable
+    from where its file says that it is not.
+    """
+    middleware = ros["middleware"]
+    for key in ("discovery", "peers"):
+        if middleware.startswith(_ZENOH) and key in ros:
+            report.add(
+                "conflicting-keys",
+                f"`{key}` has no effect with `{middleware}`, which has a configuration file of"
+                " its own for it",
+                ros.entry(key).span,
+                hint=removal(f"remove `{key}`", ros.node, key),
+            )
+    return RosStart(
+        ros["workspace"], ros["domain"], middleware, ros["discovery"], tuple(ros["peers"])
     )
 
 

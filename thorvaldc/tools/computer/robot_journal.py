@@ -28,7 +28,8 @@ def show_journal(units: Sequence[str], root: Path, *, follow: bool) -> None:
         for path in root.joinpath(folder.lstrip("/")).glob("*/system*.journal")
     ]
     if not journals:
-        raise OutsideError(f"there is no journal in {' or '.join(FOLDERS)}: start systemd-journald")
+        start = ": start systemd-journald" if root == Path("/") else f" below {root}"
+        raise OutsideError(f"there is no journal in {' or '.join(FOLDERS)}{start}")
     if not any(os.access(path, os.R_OK) for path in journals):
         raise OutsideError(
             "this user may not read the journal of the computer: use sudo, or `sudo usermod"

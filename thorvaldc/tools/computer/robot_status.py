@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import re
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.backends.computer import CONTROL, STATE, starts_ros
+from thorvaldc.backends.computer import CONTROL, STATE, robot_file_of, starts_ros
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import model_hash
@@ -53,9 +52,8 @@ def robot_status(computer: Computer, name: str, *, is_live: bool) -> dict[str, A
         if is_live:
             status["service"] = _service(unit)
         status["ros"] = starts_ros(text)
-        match = re.search(r' build "(.+)" --target', text)
-        if match and current is not None:
-            compilation = compile_file(current / "robot" / match[1])
+        if (file := robot_file_of(text)) and current is not None:
+            compilation = compile_file(current / "robot" / file)
             status["errors"] = [str(d.message) for d in compilation.report.errors]
             built = computer.path(STATE.format(name=name)) / "model.json"
             with contextlib.suppress(OSError):  # no service has built it yet
