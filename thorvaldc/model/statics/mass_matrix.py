@@ -22,9 +22,9 @@ therefore grows linearly with the number of branches of the joint tree.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from thorvaldc.model import Link, Pose, Vec3
+from thorvaldc.model import Inertial, Vec3
 from thorvaldc.model.spatial import add, clean, cross, dot, sub
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.sums import float_sum
@@ -106,15 +106,8 @@ class BranchSparse:
 _SpatialInertia = list[float]
 
 
-def _spatial_inertia(link: Link, pose: Pose, origin: Vec3) -> _SpatialInertia | None:
-    """Return the spatial inertia of a link about ``origin``, in the axes of ``base_link``.
-
-    ``pose`` is the pose of the link frame in ``base_link``. Returns ``None`` for a link without
-    mass.
-    """
-    if link.inertial is None:
-        return None
-    placed = link.inertial.transformed(pose)
+def _spatial_inertia(placed: Inertial, origin: Vec3) -> _SpatialInertia:
+    """Return the spatial inertia of a body about ``origin``; both are in ``base_link``."""
     m = placed.mass
     x, y, z = sub(placed.com, origin)
     xx, yy, zz, xy, xz, yz = placed.inertia
@@ -176,12 +169,15 @@ def inverse_weights(
     parent_of = tree.moving_parent
     count = len(tree.moving)
     composite: list[_SpatialInertia] = [[0.0] * 10 for _ in range(count + 1)]
-    for name in tree.order:
-        body = _spatial_inertia(tree.links[name], tree.pose[name], origin)
-        if body is not None:
-            rigid_body = composite[tree.carrier[name]]
-            for k in range(10):
-                rigid_body[k] += body[k]
+    placed = {
+        name: inertial.transformed(tree.pose[name])
+        for name in tree.order
+        if (inertial := tree.links[name].inertial) is not None
+    }
+    for name, inertial in placed.items():
+        body, rigid_body = _spatial_inertia(inertial, origin), composite[tree.carrier[name]]
+        for k in range(10):
+            rigid_body[k] += body[k]
     for j in range(count, 0, -1):
         carried, parent = composite[j], composite[parent_of[j]]
         for k in range(10):
@@ -198,7 +194,7 @@ def inverse_weights(
             motions.append((axis, cross(sub(pose.xyz, origin), axis)))
         parent_path = _BASE_PATH if parent_of[j] == 0 else paths[parent_of[j] + 5]
         paths.append([*parent_path, j + 5])
-    inertias = _carried_inertias(tree)
+    inertias = _carried_inertias(tree, placed)
     matrix = _mass_matrix(tree, paths, composite, motions, inertias)
     matrix.factor()
     weights = []
@@ -245,29 +241,27 @@ def _mass_matrix(
     return matrix
 
 
-def _carried_inertias(tree: JointTree) -> dict[str, float]:
+def _carried_inertias(tree: JointTree, placed: Mapping[str, Inertial]) -> dict[str, float]:
     """Return the carried inertia of each joint, as ``inverse_weights``.
+
+    ``placed``: inertias of the links in ``base_link``, by the name of the link.
 
     A sum over the links of terms about the axis, none of them negative: a difference of moments
     about a common origin has no correct digit far away from it.
     """
     inertias = {joint.name: 0.0 for joint in tree.moving}
-    for name in tree.order:
-        inertial = tree.links[name].inertial
-        if inertial is None:
-            continue
-        placed = inertial.transformed(tree.pose[name])
-        xx, yy, zz, xy, xz, yz = placed.inertia
+    for name, inertial in placed.items():
+        xx, yy, zz, xy, xz, yz = inertial.inertia
         j = tree.carrier[name]
         while j != 0:
             joint = tree.moving[j - 1]
             pose = tree.pose[joint.child]
             x, y, z = axis = pose.rotate(joint.axis)
             if joint.type == "prismatic":
-                inertias[joint.name] += placed.mass
+                inertias[joint.name] += inertial.mass
             else:
-                arm = cross(axis, sub(placed.com, pose.xyz))
+                arm = cross(axis, sub(inertial.com, pose.xyz))
                 about_com = x * (xx * x + 2 * (xy * y + xz * z)) + y * (yy * y + 2 * yz * z)
-                inertias[joint.name] += about_com + zz * z * z + placed.mass * dot(arm, arm)
+                inertias[joint.name] += about_com + zz * z * z + inertial.mass * dot(arm, arm)
             j = tree.moving_parent[j]
     return {name: clean(inertia) for name, inertia in inertias.items()}
