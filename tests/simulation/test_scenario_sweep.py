@@ -108,6 +108,9 @@ def test_invalid_values_are_reported_before_the_first_run(
 ) -> None:
     for setting, stderr in (
         ("world.friction=0.3,-1", "--set world.friction: error[TV206]"),
+        ("world.friction=0.3,-1,0.5,0.6", "--set world.friction: error[TV206]"),
+        ("noise.seed=1,3,2.5,2", "--set noise.seed: error[TV203]"),
+        ("world.friction=0.1,0.2,x,0.4", "--set world.friction: error[TV210]"),
         ("world.friktion=0.3,0.4", "error[TV201] unknown-key"),
         ("faults.3.angle=1,2", "error[TV846] variation-path"),
         ("duration=1 s,two", "error[TV210]"),

@@ -178,14 +178,14 @@ def _sweep(sweep: Sweep, process_count: int | None, output: str, json: bool) -> 
     gc.enable()
     if output:
         options.check_output(output, ("csv",), "--output")
+    if len(sweep) > MAX_RUNS:
+        reason = f"these are {len(sweep)} runs; there must be at most {MAX_RUNS}"
+        raise typer.BadParameter(reason, param_hint="'--set'")
     compilation = sweep.check()
     if compilation.model is None:
         return show_report(compilation.report, compilation.sources)
     if compilation.scenario is None:
         raise _no_scenario(sweep.scenario)
-    if len(sweep) > MAX_RUNS:
-        reason = f"these are {len(sweep)} runs; there must be at most {MAX_RUNS}"
-        raise typer.BadParameter(reason, param_hint="'--set'")
     with write_errors(output):
         file = ResultFile(Path(output)) if output else None
     runs = _runs_of(sweep, process_count or processors(), file, json)

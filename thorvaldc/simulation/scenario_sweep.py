@@ -88,12 +88,13 @@ class Sweep:
     def check(self) -> Compilation:
         """Compiles the scenario with each value and the first ones of all other paths.
 
-        Returns the first compilation with errors, or one without.
+        Of numbers, it compiles the smallest and the largest: a value between two that fit is
+        compiled by its run alone.  Returns the first compilation with errors, or one without.
         """
         first = next(iter(self))
         compilation = self.compile(first)
         for path, values in self.choices.items():
-            for value in values[1:]:
+            for value in _extremes(values[1:]):
                 if compilation.model is not None:
                     compilation = self.compile({**first, path: value})
         return compilation
@@ -139,6 +140,19 @@ class Sweep:
         errors = tuple(f"{d.code.severity}[{d.code.number}]: {d.message}" for d in report.errors)
         plain = {path: value.plain() for path, value in values.items()}
         return Run(number, plain, result, errors)
+
+
+def _extremes(values: Sequence[Node]) -> list[Node]:
+    """Returns the values without the numbers between the smallest and the largest of their type."""
+    numbers: dict[type, list[Node]] = {}
+    others: list[Node] = []
+    for value in values:
+        kind = type(value.plain())
+        (numbers.setdefault(kind, []) if kind in (int, float) else others).append(value)
+    for same in numbers.values():
+        same.sort(key=Node.plain)
+        others += same if len(same) < 3 else (same[0], same[-1])
+    return others
 
 
 # The columns of the text table: (metric, heading, format, factor).  The text of a cell is the

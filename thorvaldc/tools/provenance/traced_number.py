@@ -97,29 +97,71 @@ def _lifted(function: Callable[..., Any]) -> Callable[..., Any]:
     """Returns a function whose result has the origins of its arguments."""
 
     def lifted(*arguments: Any, **named: Any) -> Any:
+        origins, numbers = 0, []
+        for argument in arguments:  # mostly numbers: a footprint takes a million of these calls
+            kind = type(argument)
+            if kind is TracedNumber:
+                origins |= argument.origins
+                numbers.append(argument.number)
+            elif kind is float or kind is int:
+                numbers.append(argument)
+            else:
+                break
+        else:
+            number = function(*numbers, **named)
+            if origins and type(number) is float:
+                return TracedNumber(number, origins)
+            return traced(number, origins)
         arguments = tuple(list(a) if isinstance(a, Iterator) else a for a in arguments)
         return traced(function(*map(plain, arguments), **named), origins_of(arguments))
 
     return lifted
 
 
-def _swapped(function: Callable[..., Any]) -> Callable[..., Any]:
-    return lambda first, second: function(second, first)
+def _binary(function: Callable[[Any, Any], Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Returns the methods of an operator with a traced number on the left, and on the right."""
+    lifted = _lifted(function)
+
+    def on_the_left(first: Any, second: Any) -> Any:
+        kind = type(second)
+        if kind is TracedNumber:
+            number, origins = function(first.number, second.number), first.origins | second.origins
+        elif kind is float:
+            number, origins = function(first.number, second), first.origins
+        else:
+            return lifted(first, second)
+        return TracedNumber(number, origins)
+
+    def on_the_right(second: Any, first: Any) -> Any:
+        if type(first) is float:
+            return TracedNumber(function(first, second.number), second.origins)
+        return lifted(first, second)
+
+    return on_the_left, on_the_right
 
 
 def _without_origins(function: Callable[..., Any]) -> Callable[..., Any]:
     return lambda *values: function(*map(plain, values))
 
 
+def _comparison(function: Callable[[Any, Any], Any]) -> Callable[..., Any]:
+    def compare(first: Any, second: Any) -> Any:
+        return function(first.number, second.number if type(second) is TracedNumber else second)
+
+    return compare
+
+
 def _set_methods() -> None:
     for name in _BINARY + _SHIFTS:
-        method = _lifted(getattr(operator, f"__{name}__"))
-        setattr(TracedNumber, f"__{name}__", method)
-        setattr(TracedNumber, f"__r{name}__", _swapped(method))
+        on_the_left, on_the_right = _binary(getattr(operator, f"__{name}__"))
+        setattr(TracedNumber, f"__{name}__", on_the_left)
+        setattr(TracedNumber, f"__r{name}__", on_the_right)
     for function in _UNARY + _ROUNDED:
         setattr(TracedNumber, f"__{function.__name__.strip('_')}__", _lifted(function))
     compare = (operator.eq, operator.ne, operator.lt, operator.le, operator.gt, operator.ge)
-    for function in (bool, int, float, operator.index, *compare):
+    for function in compare:
+        setattr(TracedNumber, f"__{function.__name__}__", _comparison(function))
+    for function in (bool, int, float, operator.index):
         setattr(TracedNumber, f"__{function.__name__}__", _without_origins(function))
 
 
