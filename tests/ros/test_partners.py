@@ -15,10 +15,9 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.backends.ros2.packages import variant, write
+from tests.backends.ros2.packages import package_of, variant, write
 from tests.ros.environments import DISTROS, each_distro
 from tests.ros.test_node import run_client
-from thorvaldc.backends.ros2 import package_of
 from thorvaldc.model import TwistInput
 from thorvaldc.model.settings import NAME_PREFIX
 

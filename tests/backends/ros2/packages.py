@@ -9,8 +9,10 @@ from typing import Any
 from tests.backends.rcl_parameters import read
 from tests.backends.ros2.launch_double import Context, run
 from tests.examples import example_robot
-from thorvaldc.backends.ros2 import Ros2, package_of
+from thorvaldc.backends.ros2 import Ros2
+from thorvaldc.backends.ros2 import package_of as new_package_of
 from thorvaldc.model import Fleet, Robot
+from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.settings import NAME_PREFIX, NAME_SPACE
 
 # Stands for the launch file of ros_gz_sim, with one of its arguments.
@@ -23,6 +25,7 @@ def generate_launch_description():
     )
 """
 DISTROS = ("jazzy", "kilted", "lyrical")
+package_of = once_per_model(new_package_of)
 
 
 def variant(name: str, **settings: str) -> Robot:

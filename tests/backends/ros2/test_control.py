@@ -10,10 +10,9 @@ import yaml
 
 from tests.backends.rcl_parameters import read
 from tests.backends.ros2.launch_double import Started, spawned_controllers
-from tests.backends.ros2.packages import braking_gently, launch, named, variant
+from tests.backends.ros2.packages import braking_gently, launch, named, package_of, variant
 from tests.backends.ros2.test_launch_files import depends
 from tests.examples import SAMPLED_ROBOTS, example_robot
-from thorvaldc.backends.ros2 import package_of
 from thorvaldc.backends.sdf import STEP
 
 DRIVEN = "2wd0ws_greenhouse"  # a robot that diff_drive_controller drives

@@ -19,12 +19,12 @@ from tests.backends.ros2.packages import (
     install_fleet,
     launch,
     named,
+    package_of,
     variant,
     write,
 )
 from tests.examples import SAMPLED_ROBOTS, example_fleet, example_robot
 from tests.slow import mostly_slow
-from thorvaldc.backends.ros2 import package_of
 from thorvaldc.model import Robot
 from thorvaldc.ros.parameters import PARAMETERS
 

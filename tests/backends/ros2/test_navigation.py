@@ -15,6 +15,7 @@ from tests.backends.ros2.packages import (
     DISTROS,
     braking_gently,
     launch,
+    package_of,
     parameter_files,
     parameters,
     variant,
@@ -22,7 +23,6 @@ from tests.backends.ros2.packages import (
 )
 from tests.backends.ros2.test_declared_parameters import car_with_lidar
 from tests.examples import SAMPLED_ROBOTS, example_robot
-from thorvaldc.backends.ros2 import package_of
 from thorvaldc.backends.ros2_navigation import Motion
 from thorvaldc.model import Robot
 from thorvaldc.model.sensor_numbers import sensor_numbers

@@ -8,9 +8,8 @@ from xml.etree import ElementTree
 import pytest
 
 from tests.backends.ros2.launch_double import run
-from tests.backends.ros2.packages import install, write
+from tests.backends.ros2.packages import install, package_of, write
 from tests.cli.conftest import run_in_this_process
-from thorvaldc.backends.ros2 import package_of
 from thorvaldc.backends.ros2_package_files import LAUNCHES
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result import Compilation

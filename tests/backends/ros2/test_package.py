@@ -15,11 +15,11 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tests.backends.ros2.packages import install, variant, write
+from tests.backends.ros2.packages import install, package_of, variant, write
 from tests.examples import ROBOTS, SAMPLED_ROBOTS, example_fleet, example_robot
 from tests.ros.environments import DISTROS, ROOT, python_of
 from tests.simulation.bus.robots import cia402_robot
-from thorvaldc.backends.ros2 import Ros2, package_of
+from thorvaldc.backends.ros2 import Ros2
 from thorvaldc.model.model_json import from_json
 
 ROSDEP_KEYS = {"python3-venv"}

@@ -12,10 +12,9 @@ import yaml
 
 from bench.filters import CASES, MIXED
 from tests.backends.rcl_parameters import read
-from tests.backends.ros2.packages import DISTROS, named, parameters, variant
+from tests.backends.ros2.packages import DISTROS, named, package_of, parameters, variant
 from tests.examples import FOLDER, SAMPLED_ROBOTS, example_robot
 from tests.robots import make_robot
-from thorvaldc.backends.ros2 import package_of
 from thorvaldc.backends.ros2_parameters import teleop, twist_mux
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot

@@ -11,10 +11,9 @@ import pytest
 
 from tests.backends.rcl_parameters import read
 from tests.backends.ros2.launch_double import Started
-from tests.backends.ros2.packages import launch, named, parameters
+from tests.backends.ros2.packages import launch, named, package_of, parameters
 from tests.backends.ros2.test_declared_parameters import TABLE, type_of
 from tests.examples import FOLDER
-from thorvaldc.backends.ros2 import package_of
 from thorvaldc.backends.ros2_parts import sensor_topics
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
