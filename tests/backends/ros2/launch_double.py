@@ -13,10 +13,8 @@ from __future__ import annotations
 
 import abc
 import argparse
-import atexit
 import re
 import runpy
-import shutil
 import sys
 import tempfile
 import types
@@ -489,7 +487,6 @@ class ParameterFile:
                 raise LaunchError(f"{path} has substitutions that are not allowed")
             return path
         copy = Path(tempfile.mkdtemp()) / path.name
-        atexit.register(shutil.rmtree, copy.parent, ignore_errors=True)
         copy.write_text(substituted(text, context), encoding="utf-8")
         return copy
 
@@ -582,8 +579,13 @@ def run(path: Path, shares: Mapping[str, Path], **arguments: str) -> Context:
     ``shares`` maps each installed package to its shared folder.
     """
     context = Context(shares, dict(arguments))
-    with _modules(context):
-        visit_file(path, context)
+    # Beside the package, which pytest deletes: a worker process of xdist ends without `atexit`.
+    previous, tempfile.tempdir = tempfile.tempdir, str(path.parents[2])
+    try:
+        with _modules(context):
+            visit_file(path, context)
+    finally:
+        tempfile.tempdir = previous
     unknown = [name for name in arguments if name not in context.declared]
     if unknown:
         raise LaunchError(f"{path.name} declares no argument {', '.join(unknown)}")
