@@ -92,7 +92,7 @@ def test_commands_that_move_a_robot_begin_with_zero() -> None:
         if first is not None:
             assert "linear" not in first[0], page
             found += 1
-    assert found == 4
+    assert found == 3
 
 
 def test_the_page_of_examples_has_every_example() -> None:

@@ -12,6 +12,7 @@ A page is a sequence of blocks between triple backquotes:
 A comment before a block changes this, with one or more of these parts, separated by ``;``:
 
 - ``<!-- test: not run; REASON -->``
+- ``<!-- test: in the container -->``: changes the computer, and is left out elsewhere
 - ``<!-- test: keys iii q -->``: presses the keys, ten in a second; a space is a pause of a second
 - ``<!-- test: fails -->``: the last command has an exit status that is not 0
 - ``<!-- test: numbers differ by 20 % -->``; speeds and hashes by any amount
@@ -47,7 +48,7 @@ from tests.ros.environments import python_of, variables
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs"
-TUTORIAL = ("first-robot", "own-module", "simulation", "bus", "ros2")
+TUTORIAL = ("first-robot", "own-module", "simulation", "bus", "ros2", "computer")
 HOW_TO = ("module", "scenario", "study")  # continue in the folder of the tutorial
 PAGES = (*(f"tutorial/{name}" for name in TUTORIAL), *(f"how-to/{name}" for name in HOW_TO))
 BLOCK = re.compile(
@@ -140,6 +141,7 @@ class Reader:
 
     folder: Path
     variables: dict[str, str]
+    is_in_container: bool = False
     terminals: dict[str, ChildProcess] = field(default_factory=dict)
     printed: dict[int, str] = field(default_factory=dict)
     """Output that differs from a console block of the page, by the beginning of the block."""
@@ -160,7 +162,7 @@ class Reader:
         for block in blocks_of(page):
             if block.has("stop"):
                 differences += self.stop(block.value("stop"))
-            if block.has("not run"):
+            if block.has("not run") or (block.has("in the container") and not self.is_in_container):
                 continue
             if block.language == "console":
                 differences += self.type_in(block)

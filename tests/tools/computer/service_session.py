@@ -1,24 +1,21 @@
 """Installs a robot on a computer with systemd, and ends its base driver in several ways.
 
-Runs in the container of ``test_running_service.py``, as a service of systemd, and writes what
-happens to the file that the first argument names, as JSON.
+Runs in the container of ``test_running_service.py``.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
-import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from tests.cli.conftest import GOOD
+from tests.container import record_session
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.runtime.control_channel import ControlClient, ServiceError
@@ -170,15 +167,5 @@ def session(record: dict[str, Any]) -> None:
         record["left"] = [str(path) for path in Path("/etc").rglob("*good*")]
 
 
-def main() -> None:
-    record: dict[str, Any] = {}
-    try:
-        session(record)
-    except BaseException:
-        record["error"] = traceback.format_exc()
-        record["journal"] = run("journalctl", "--unit", UNIT, "--no-pager", "--lines", "60")
-    Path(sys.argv[1]).write_text(json.dumps(record), encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    record_session(session, UNIT)

@@ -1,104 +1,23 @@
 """The installed service under a real systemd: boot, restarts, the watchdog and the end.
 
-A container has the file system of this computer, with a layer that the test throws away, and a
-network of its own.  Its bus is simulated: the program at the place of the environment replaces the
-CAN interface; the unit is the one that `thorvaldc install` writes.
+Its bus is simulated: the program at the place of the environment replaces the CAN interface; the
+unit is the one that `thorvaldc install` writes.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
-import sysconfig
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.child_process import ChildProcess
-from tests.outside_tools import require
-
-ROOT = Path(__file__).parents[3]
-BOOT = """\
-set -e
-cd "$FOLDER"
-mount --make-rprivate /
-mkdir -p layer system results
-mount -t tmpfs tmpfs layer
-mkdir layer/upper layer/work
-mount -t overlay overlay -o lowerdir=/,upperdir=layer/upper,workdir=layer/work system
-mkdir -p system/opt/{thorvaldc-env/bin,source,python,packages,results}
-# Services of this computer do not start in the container.
-mount -t tmpfs tmpfs system/etc/systemd/system
-cp program system/opt/thorvaldc-env/bin/thorvaldc
-cp session.service system/etc/systemd/system/session.service
-mkdir -p system/etc/systemd/system.conf.d
-# No CAN interface appears, and the unit waits for one as long as for a start.
-printf '[Manager]\\nDefaultTimeoutStartSec=5s\\n' >system/etc/systemd/system.conf.d/test.conf
-container="systemd-nspawn --quiet --directory=system --private-network --register=no --keep-unit
-  --link-journal=no --bind=$FOLDER/results:/opt/results --bind-ro=$SOURCE:/opt/source
-  --bind-ro=$PYTHON:/opt/python --bind-ro=$PACKAGES:/opt/packages --console=pipe"
-$container /bin/true
-touch results/boots
-exec $container --boot -- --unit=session.service
-"""
-PYTHON = f"/opt/python/bin/python{sys.version_info.major}.{sys.version_info.minor}"
-ENVIRONMENT = "PYTHONPATH=/opt/source:/opt/packages PYTHONDONTWRITEBYTECODE=1"
-PROGRAM = f"""\
-#!/bin/bash
-export {ENVIRONMENT}
-exec {PYTHON} -m thorvaldc "${{@//socketcan:can_main/sim:/run/can.sock}}"
-"""
-SESSION = f"""\
-[Unit]
-SuccessAction=exit
-FailureAction=exit
-[Service]
-Type=oneshot
-TimeoutStartSec=900
-Environment={ENVIRONMENT}
-ExecStart={PYTHON} -m tests.tools.computer.service_session /opt/results/record.json
-"""
+from tests.container import in_container
 
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What happened in the container."""
-    require("systemd-nspawn")
-    if os.geteuid() != 0:
-        pytest.skip("a container needs the superuser")
-    folder = tmp_path_factory.mktemp("container")
-    (folder / "program").write_text(PROGRAM, encoding="utf-8")
-    (folder / "program").chmod(0o755)
-    (folder / "session.service").write_text(SESSION, encoding="utf-8")
-    paths = {
-        "FOLDER": folder,
-        "SOURCE": ROOT,
-        "PYTHON": sys.base_prefix,
-        "PACKAGES": sysconfig.get_paths()["purelib"],
-    }
-    environment = {**os.environ, "BOOT": BOOT, **{k: str(path) for k, path in paths.items()}}
-    container = ChildProcess(
-        ["bash", "-c", 'exec unshare --mount bash -c "$BOOT"'],
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    try:
-        output, _ = container.communicate(timeout=900)
-    finally:
-        container.end()
-    if not (folder / "results/boots").exists():
-        pytest.skip("this computer starts no container")
-    file = folder / "results/record.json"
-    assert file.exists(), output
-    happened: dict[str, Any] = json.loads(file.read_bytes())
-    assert "error" not in happened, (happened["error"], happened["journal"], output)
-    return happened
+    module = "tests.tools.computer.service_session"
+    return in_container(module, tmp_path_factory.mktemp("container"))
 
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("container")]

@@ -72,9 +72,8 @@ def test_the_program_of_the_page_drives_robots_in_newton(tmp_path: Path) -> None
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
     (tmp_path / "examples").symlink_to(ROOT / "examples")
-    page = (ROOT / "docs/batches.md").read_text(encoding="utf-8")
-    program = page.partition("### Newton")[2].partition("```python\n")[2].partition("```")[0]
-    lines = run(tmp_path, "-c", program)[0].splitlines()[-4:]
+    program = ROOT / "examples/scenarios/robots_in_newton.py"
+    lines = run(tmp_path, str(program))[0].splitlines()[-4:]
     numbers = [
         [float(text) for text in re.findall(r"-?\d+\.\d*(?:e-?\d+)?", line)] for line in lines
     ]
