@@ -68,9 +68,7 @@ def bus_option(computer: Computer) -> str:
     """Return the value of the option ``--bus`` for the CAN interfaces of a computer."""
     several = len(computer.adapters) > 1
     return ",".join(
-        f"{adapter.bus}=socketcan:{adapter.interface}"
-        if several
-        else f"socketcan:{adapter.interface}"
+        f"{adapter.bus}={adapter.spec}" if several else adapter.spec
         for adapter in computer.adapters
     )
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.cli.conftest import GOOD
+from tests.simulation.bus.robots import CIA402
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.runtime.control_channel import ControlClient, ServiceError
@@ -26,7 +27,7 @@ from thorvaldc.simulation.bus.bus_server import serving
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
-PROGRAM = "/opt/thorvaldc-env/bin/thorvaldc"
+PROGRAM, ASKING = (f"/opt/thorvaldc-env/bin/{name}" for name in ("thorvaldc", "asking"))
 UNIT = "thorvaldc-good.service"
 FILE = Path("/etc/thorvaldc/good/current/robot/good.yaml")
 BUS = "/run/can.sock"
@@ -75,6 +76,11 @@ def until(what: str, reached: Callable[[], Any]) -> Any:
 def shown(key: str) -> str:
     command = ["systemctl", "show", UNIT, "--value", f"--property={key}"]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def made() -> list[str]:
+    """Returns what the installation has made."""
+    return [str(path) for path in Path("/etc").rglob("*good*")]
 
 
 def run(*command: str) -> tuple[int, str]:
@@ -129,6 +135,12 @@ def session(record: dict[str, Any]) -> None:
         for thread in threading.enumerate():
             policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
             os.sched_setscheduler(thread.native_id or 0, policy, os.sched_param(25))
+        other = CIA402.replace("with_cia402", "good")
+        Path("other.yaml").write_text(other, encoding="utf-8")
+        record["other"] = run(ASKING, "install", "other.yaml")
+        record["changed"] = made()
+        record["same"] = run(ASKING, "install", "good.yaml")
+        run(PROGRAM, "uninstall", "good")
         record["install"] = run(PROGRAM, "install", "good.yaml")
         process = driver()
         record["started"] = {**state(), "moved": wheels.moved}
@@ -167,7 +179,7 @@ def session(record: dict[str, Any]) -> None:
         record["at_last"] = {"result": shown("Result"), "speed": wheels.speed}
         record["failed"] = run(PROGRAM, "status")
         record["uninstall"] = run(PROGRAM, "uninstall", "good")
-        record["left"] = [str(path) for path in Path("/etc").rglob("*good*")]
+        record["left"] = made()
 
 
 def main() -> None:

@@ -33,6 +33,7 @@ mkdir -p system/opt/{thorvaldc-env/bin,source,python,packages,results}
 # Services of this computer do not start in the container.
 mount -t tmpfs tmpfs system/etc/systemd/system
 cp program system/opt/thorvaldc-env/bin/thorvaldc
+cp asking system/opt/thorvaldc-env/bin/asking
 cp session.service system/etc/systemd/system/session.service
 mkdir -p system/etc/systemd/system.conf.d
 # No CAN interface appears, and the unit waits for one as long as for a start.
@@ -50,6 +51,16 @@ PROGRAM = f"""\
 #!/bin/bash
 export {ENVIRONMENT}
 exec {PYTHON} -m thorvaldc "${{@//socketcan:can_main/sim:/run/can.sock}}"
+"""
+# Its CAN interface is the simulated bus, so that an installation asks the devices there.
+ASKING = f"""\
+#!/bin/bash
+export {ENVIRONMENT}
+exec {PYTHON} -c 'import sys
+from thorvaldc.cli.main import run
+from thorvaldc.model.robot_computer import CanAdapter
+CanAdapter.spec = property(lambda adapter: "sim:/run/can.sock")
+sys.exit(run())' "$@"
 """
 SESSION = f"""\
 [Unit]
@@ -70,8 +81,9 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     if os.geteuid() != 0:
         pytest.skip("a container needs the superuser")
     folder = tmp_path_factory.mktemp("container")
-    (folder / "program").write_text(PROGRAM, encoding="utf-8")
-    (folder / "program").chmod(0o755)
+    for name, text in (("program", PROGRAM), ("asking", ASKING)):
+        (folder / name).write_text(text, encoding="utf-8")
+        (folder / name).chmod(0o755)
     (folder / "session.service").write_text(SESSION, encoding="utf-8")
     paths = {
         "FOLDER": folder,
@@ -102,6 +114,19 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("container")]
+
+
+def test_the_file_of_another_robot_is_refused(record: dict[str, Any]) -> None:
+    status, text = record["other"]
+    assert status == 1
+    assert "error[TV862] bus-wrong-robot: the device with the id 1 on the bus `main` is" in text
+    assert "other.yaml:13:" in text
+    assert record["changed"] == []
+    status, text = record["same"]
+    assert (status, "note: 5 of 5 devices on the bus `main` are as in the file" in text) == (
+        0,
+        True,
+    )
 
 
 def test_the_service_starts_disarmed_as_its_user(record: dict[str, Any]) -> None:

@@ -46,6 +46,7 @@ def install(
     file: options.RobotFile, host: Host = "", root: Root = "", dry_run: DryRun = False
 ) -> int:
     from thorvaldc.backends.computer import service_of
+    from thorvaldc.tools.computer.answering_devices import compare_devices
     from thorvaldc.tools.computer.installed_versions import Computer, version_of
 
     if host:
@@ -74,6 +75,11 @@ def install(
     if not root:
         _check_computer(robot)
         _check_at_rest(computer, version.name)
+        answers = compare_devices(robot)
+        for note in answers.notes:
+            message(f"note: {note}")
+        if answers.report.has_errors:
+            return loaded.show(answers.report)
     with write_errors(computer.folder(version.name)):
         computer.install(version)
     if not root:
