@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.backends.computer import CONTROL, STATE, robot_file_of, starts_ros
-from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.cli.robot_file import read_robot_file
+from thorvaldc.diagnostics import OutsideError
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import model_hash
 from thorvaldc.tools.computer.installed_versions import Computer
@@ -53,7 +54,11 @@ def robot_status(computer: Computer, name: str, *, is_live: bool) -> dict[str, A
             status["service"] = _service(unit)
         status["ros"] = starts_ros(text)
         if (file := robot_file_of(text)) and current is not None:
-            compilation = compile_file(current / "robot" / file)
+            try:
+                compilation = read_robot_file(str(current / "robot" / file), [], False)
+            except OutsideError as error:  # this is the runtime alone
+                status["errors"] = [str(error)]
+                continue
             status["errors"] = [str(d.message) for d in compilation.report.errors]
             built = computer.path(STATE.format(name=name)) / "model.json"
             with contextlib.suppress(OSError):  # no service has built it yet
