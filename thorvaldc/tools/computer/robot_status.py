@@ -145,6 +145,11 @@ def status_lines(status: dict[str, Any]) -> list[str]:
     lines += [f"  locked by {', '.join(driver['locks'])}"] if driver["locks"] else []
     lines += [f"  warning: {text}" for text in driver["warnings"]]
     lines += [
+        f"  bus {bus}: at most {100.0 * load:.0f} % of its bit rate in use"
+        for bus, load in driver.get("bus_load", {}).items()
+        if load is not None
+    ]
+    lines += [
         f"  {battery}: {100.0 * values['charge']:.0f} %"
         for battery, values in driver.get("batteries", {}).items()
         if values.get("charge") is not None
