@@ -114,6 +114,14 @@ def drive(wheels: Wheels) -> None:
         client.close()
 
 
+def disarm() -> None:
+    client = ControlClient("/run/thorvaldc/good/control")
+    try:
+        client.call("disarm")
+    finally:
+        client.close()
+
+
 def driver() -> int:
     """Waits for a base driver that answers, and returns its process."""
     until("a base driver", state)
@@ -146,6 +154,12 @@ def session(record: dict[str, Any]) -> None:
         record["started"] = {**state(), "moved": wheels.moved}
         record["process"] = run("ps", "-o", "user=,cls=,rtprio=", "-p", str(process))
         record["status"] = run(PROGRAM, "status")
+        drive(wheels)
+        record["armed"] = run(ASKING, "install", "other.yaml")
+        disarm()
+        Path("good.yaml").write_text(GOOD + "# another version\n", encoding="utf-8")
+        record["running"] = run(ASKING, "install", "good.yaml")
+        driver()
         good = FILE.read_text(encoding="utf-8")
         FILE.write_text(good.replace("modules:", "modulse:", 1), encoding="utf-8")
         record["restart"] = run("systemctl", "restart", UNIT)

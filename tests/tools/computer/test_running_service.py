@@ -139,6 +139,15 @@ def test_the_service_starts_disarmed_as_its_user(record: dict[str, Any]) -> None
     assert "service active (running)" in record["status"][1]
 
 
+def test_an_installation_disturbs_no_driver(record: dict[str, Any]) -> None:
+    """Armed, the robot keeps its version; disarmed, its bus belongs to the driver."""
+    status, text = record["armed"]
+    assert (status, "the robot is armed: thorvaldc call" in text) == (3, True)
+    status, text = record["running"]
+    assert status == 0
+    assert "were not compared with the file: another `thorvaldc can` or `thorvaldc run`" in text
+
+
 def test_a_file_with_errors_leaves_the_last_build_in_use(record: dict[str, Any]) -> None:
     assert record["restart"][0] == 0
     assert "modulse" in record["errors"][1]
