@@ -34,6 +34,7 @@ mkdir -p system/opt/{thorvaldc-env/bin,source,python,packages,results}
 # Services of this computer do not start in the container.
 mount -t tmpfs tmpfs system/etc/systemd/system
 cp program system/opt/thorvaldc-env/bin/thorvaldc
+cp asking system/opt/thorvaldc-env/bin/asking
 cp session.service system/etc/systemd/system/session.service
 mkdir -p system/etc/systemd/system.conf.d
 # No CAN interface appears, and the unit waits for one as long as for a start.
@@ -53,6 +54,16 @@ export {ENVIRONMENT}
 exec {PYTHON} -m thorvaldc "${{@//socketcan:can_main/sim:/run/can.sock}}"
 """
 """Has a simulated bus in the place of the CAN interface."""
+ASKING = f"""\
+#!/bin/bash
+export {ENVIRONMENT}
+exec {PYTHON} -c 'import sys
+from thorvaldc.cli.main import run
+from thorvaldc.model.robot_computer import CanAdapter
+CanAdapter.spec = property(lambda adapter: "sim:/run/can.sock")
+sys.exit(run())' "$@"
+"""
+"""Its CAN interface is the simulated bus, so that an installation asks the devices there."""
 SESSION = f"""\
 [Unit]
 SuccessAction=exit
@@ -73,8 +84,9 @@ def in_container(module: str, folder: Path) -> dict[str, Any]:
     require("systemd-nspawn")
     if os.geteuid() != 0:
         pytest.skip("a container needs the superuser")
-    (folder / "program").write_text(PROGRAM, encoding="utf-8")
-    (folder / "program").chmod(0o755)
+    for name, text in (("program", PROGRAM), ("asking", ASKING)):
+        (folder / name).write_text(text, encoding="utf-8")
+        (folder / name).chmod(0o755)
     (folder / "session.service").write_text(SESSION % module, encoding="utf-8")
     paths = {
         "FOLDER": folder,

@@ -19,7 +19,8 @@ from thorvaldc.compiler.pipeline import compile_file, emit
 PACKAGE = Path(__file__).resolve().parents[2] / "thorvaldc"
 ROOMS = ("runtime", "can", "commissioning", "model", "diagnostics", "cli")
 pytestmark = needs_tools  # the distribution contains some
-TOOLS = ("monitor", "service_calls", "teleoperation")
+TOOLS = ("computer", "monitor", "service_calls", "teleoperation")
+FILES = ("tools/__init__.py", "backends/__init__.py", "backends/computer.py")
 MISSING = ("numpy", "mujoco", "yaml", "jsonschema")
 # Runs the command where the packages of MISSING cannot be imported.
 SCRIPT = f"""
@@ -42,7 +43,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(PACKAGE / room, package / room, ignore=ignore)
     for tool in TOOLS:
         shutil.copytree(PACKAGE / "tools" / tool, package / "tools" / tool, ignore=ignore)
-    for file in ("__init__.py", "__main__.py", "tool_folders.py", "tools/__init__.py"):
+    (package / "backends").mkdir()
+    for file in ("__init__.py", "__main__.py", "tool_folders.py", *FILES):
         shutil.copy(PACKAGE / file, package / file)
     (folder / "good.yaml").write_text(GOOD, encoding="utf-8")
     model = compile_file(folder / "good.yaml").model
@@ -73,6 +75,7 @@ def call(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
         (["sim", "good.yaml"], "`thorvaldc sim`"),
         (["bus", "model.json"], "`thorvaldc bus`"),
         (["modules", "list"], "`thorvaldc modules list`"),
+        (["targets"], "`thorvaldc targets`"),
         (["run", "model.json", "--bus", "virtual"], "`--bus virtual`"),
         (["can", "plan", "model.json", "--bus", "virtual"], "`--bus virtual`"),
     ],
@@ -107,6 +110,27 @@ def test_a_robot_file_needs_the_compiler(folder: Path) -> None:
     assert result.stderr.startswith("error: good.yaml needs the compiler")
     assert "give the model.json of a build" in result.stderr
     assert len(result.stderr.splitlines()) == 1
+
+
+def test_a_model_is_installed_without_a_compiler(folder: Path, tmp_path: Path) -> None:
+    """The service drives the model as it is; a robot file needs the compiler."""
+    root = ("--root", str(tmp_path))
+    refused = call(folder, "install", "good.yaml", *root)
+    assert (refused.returncode, "good.yaml needs the compiler" in refused.stderr) == (3, True)
+    assert list(tmp_path.iterdir()) == []
+    shutil.copy(folder / "model.json", folder / "my_robot.json")
+    installed = call(folder, "install", "my_robot.json", *root)
+    assert installed.returncode == 0, installed.stderr
+    version = tmp_path / "etc/thorvaldc/good/versions/1"
+    assert (version / "robot/model.json").read_bytes() == (folder / "model.json").read_bytes()
+    unit = (version / "computer/systemd/thorvaldc-good.service").read_text(encoding="utf-8")
+    assert "thorvaldc run /etc/thorvaldc/good/current/robot/model.json --bus socket" in unit
+    assert " build " not in unit
+    shown = call(folder, "status", *root)
+    assert shown.stdout == "good: version 1\n  the base driver does not run\n"
+    again = call(folder, "install", "model.json", *root)
+    assert "nothing has changed" in again.stderr
+    assert call(folder, "uninstall", "good", *root).returncode == 0
 
 
 def test_help_shows_the_commands_that_the_runtime_has(folder: Path) -> None:

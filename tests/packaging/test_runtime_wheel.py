@@ -25,7 +25,7 @@ from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 pytestmark = [pytest.mark.xdist_group("packaging"), needs_tools]
 
 ABSENT = ("numpy", "mujoco", "yaml", "jsonschema", "trimesh", "xacro", "jinja2", "cantools")
-ROOMS_LEFT_OUT = ("compiler", "simulation", "backends", "schema")
+ROOMS_LEFT_OUT = ("compiler", "simulation", "schema")
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +73,8 @@ def test_wheel_contains_only_the_rooms_of_the_runtime(wheel: Path) -> None:
         assert f"thorvaldc/{room}/__init__.py" in names
     for room in ROOMS_LEFT_OUT:
         assert not [name for name in names if name.startswith(f"thorvaldc/{room}/")]
+    backends = [Path(name).name for name in names if name.startswith("thorvaldc/backends/")]
+    assert sorted(backends) == ["__init__.py", "computer.py"]
 
 
 @pytest.mark.slow

@@ -62,6 +62,23 @@ def test_a_source_drives_the_robot_on_its_bus(driven: DrivenRobot) -> None:
     assert driven.rig.speed() == pytest.approx(0.4, abs=0.02)
 
 
+def test_the_load_of_the_bus_is_measured(driven: DrivenRobot) -> None:
+    """With the most stuff bits that its frames can have, it is little more than on the wire."""
+    driven.speeds["auto_nav"] = 0.4
+    driven.rig.run(0.5)
+    (wire,) = driven.rig.simulated.wires.values()
+    (name,) = driven.rig.simulated.wires
+    (bus,) = driven.rig.robot.buses
+    busy = wire.busy
+    driven.rig.run(2.5)
+    load = driven.call("state")["bus_load"][name]
+    actual = (wire.busy - busy) / 2.5e9
+    assert 0.02 < actual <= load < 1.25 * actual
+    assert load <= 1.02 * bus.load  # one control cycle of fifty
+    (status,) = (s for s in driven.rig.base.component_statuses(0.0) if s.name == f"bus {name}")
+    assert status.values["load"] == load
+
+
 def test_without_a_source_the_robot_comes_to_rest(driven: DrivenRobot) -> None:
     driven.speeds["auto_nav"] = 0.4
     driven.rig.run(2.0)

@@ -33,6 +33,8 @@ PLACES = {
     "tmpfiles": "/etc/tmpfiles.d",
 }
 """Folders of the computer by the folders of this target."""
+MODEL = "model.json"
+"""Name of the model of a robot in a build."""
 QUEUE_LENGTH = 128
 """Length of the send queue of a CAN interface: frames of some control cycles."""
 WATCHDOG = 2.0
@@ -68,9 +70,7 @@ def bus_option(computer: Computer) -> str:
     """Return the value of the option ``--bus`` for the CAN interfaces of a computer."""
     several = len(computer.adapters) > 1
     return ",".join(
-        f"{adapter.bus}=socketcan:{adapter.interface}"
-        if several
-        else f"socketcan:{adapter.interface}"
+        f"{adapter.bus}={adapter.spec}" if several else adapter.spec
         for adapter in computer.adapters
     )
 
@@ -80,37 +80,46 @@ class ComputerFiles(Backend):
     summary = "services and device names of the robot's computer"
 
     def emit(self, robot: Robot) -> dict[str, bytes]:
-        readme = {"computer/README.md": _README.format(robot=_one_line(robot.name)).encode()}
-        computer = robot.computer
-        if computer is None or not robot.buses:
-            return readme
-        name = name_on_computer(robot)
-        texts = {f"systemd/{service_of(robot)}": _service(robot, computer)}
-        bitrates = {bus.name: bus.bitrate for bus in robot.buses}
-        for adapter in computer.adapters:
-            path = f"network/50-{name}-{adapter.interface}"
-            if adapter.device != UsbDevice() or len(computer.adapters) == 1:
-                texts[f"{path}.link"] = _sections(
-                    ("Match", [("Type", "can"), *_properties(adapter.device)]),
-                    ("Link", [("Name", adapter.interface), ("TransmitQueueLength", QUEUE_LENGTH)]),
-                )
-            # Without RestartSec, the interface stays down after bus-off until somebody has looked
-            # for the cause: the driver reports it.
-            texts[f"{path}.network"] = _sections(
-                ("Match", [("Name", adapter.interface)]),
-                ("Link", [("RequiredForOnline", "no")]),
-                ("CAN", [("BitRate", bitrates[adapter.bus])]),
+        return computer_files(robot, PurePosixPath(robot.span.file).name)
+
+
+def computer_files(robot: Robot, file: str) -> dict[str, bytes]:
+    """Return the files of a robot's computer.
+
+    - ``file``: name of the robot file, which the service builds, or ``MODEL``, which it drives as
+      it is.
+    """
+    readme = {"computer/README.md": _README.format(robot=_one_line(robot.name)).encode()}
+    computer = robot.computer
+    if computer is None or not robot.buses:
+        return readme
+    name = name_on_computer(robot)
+    texts = {f"systemd/{service_of(robot)}": _service(robot, computer, file)}
+    bitrates = {bus.name: bus.bitrate for bus in robot.buses}
+    for adapter in computer.adapters:
+        path = f"network/50-{name}-{adapter.interface}"
+        if adapter.device != UsbDevice() or len(computer.adapters) == 1:
+            texts[f"{path}.link"] = _sections(
+                ("Match", [("Type", "can"), *_properties(adapter.device)]),
+                ("Link", [("Name", adapter.interface), ("TransmitQueueLength", QUEUE_LENGTH)]),
             )
-        if computer.time_servers:
-            servers = " ".join(computer.time_servers)
-            texts[f"time/50-{name}.conf"] = _sections(("Time", [("NTP", servers)]))
-        if computer.ros is not None:
-            texts[f"tmpfiles/50-{name}.conf"] = f"e {STATE.format(name=name)}/log - - - {LOG_AGE}\n"
-        rules = list(_rules(computer))
-        if rules:
-            texts[f"udev/70-{name}.rules"] = "".join(f"{rule}\n" for rule in rules)
-        head = _HEAD.format(robot=_one_line(robot.name))
-        return readme | {f"computer/{path}": (head + text).encode() for path, text in texts.items()}
+        # Without RestartSec, the interface stays down after bus-off until somebody has looked
+        # for the cause: the driver reports it.
+        texts[f"{path}.network"] = _sections(
+            ("Match", [("Name", adapter.interface)]),
+            ("Link", [("RequiredForOnline", "no")]),
+            ("CAN", [("BitRate", bitrates[adapter.bus])]),
+        )
+    if computer.time_servers:
+        servers = " ".join(computer.time_servers)
+        texts[f"time/50-{name}.conf"] = _sections(("Time", [("NTP", servers)]))
+    if computer.ros is not None:
+        texts[f"tmpfiles/50-{name}.conf"] = f"e {STATE.format(name=name)}/log - - - {LOG_AGE}\n"
+    rules = list(_rules(computer))
+    if rules:
+        texts[f"udev/70-{name}.rules"] = "".join(f"{rule}\n" for rule in rules)
+    head = _HEAD.format(robot=_one_line(robot.name))
+    return readme | {f"computer/{path}": (head + text).encode() for path, text in texts.items()}
 
 
 def _one_line(text: str) -> str:
@@ -167,22 +176,22 @@ def _rules(computer: Computer) -> Iterator[str]:
         )
 
 
-def _service(robot: Robot, computer: Computer) -> str:
+def _service(robot: Robot, computer: Computer, file: str) -> str:
     """Return the unit that starts the base driver, alone or with ROS 2.
 
     The unit builds the robot file before it starts, as the user of the service.  If the file has
-    errors, the last build is used, and the errors are in the journal.
+    errors, the last build is used, and the errors are in the journal.  A model is used as it is.
     """
     name = name_on_computer(robot)
     state, folder = STATE.format(name=name), FOLDER.format(name=name)
-    file = _argument(PurePosixPath(robot.span.file).name)
+    model = f"{folder}/robot/{MODEL}" if file == MODEL else f"{state}/{MODEL}"
     # Devices of network interfaces, with the escapes of systemd.unit(5).
     devices = " ".join(
         f"sys-subsystem-net-devices-{adapter.interface.replace('-', chr(92) + 'x2d')}.device"
         for adapter in computer.adapters
     )
     start = (
-        f"{computer.program} run {state}/model.json --bus {bus_option(computer)} "
+        f"{computer.program} run {model} --bus {bus_option(computer)} "
         f"--name {CONTROL.format(name=name)}"
     )
     entries: list[tuple[str, object]] = [
@@ -196,8 +205,12 @@ def _service(robot: Robot, computer: Computer) -> str:
             ("Type", "notify"),
             ("WatchdogSec", f"{WATCHDOG:g}"),
             ("Environment", f"XDG_CACHE_HOME={folder}/cache"),
+        ]
+        if file != MODEL:
             # The `-` lets the service start with the last build if the file has errors.
-            ("ExecStartPre", f"-{computer.program} build {file} --target can -o {state}"),
+            build = f"-{computer.program} build {_argument(file)} --target can -o {state}"
+            entries.append(("ExecStartPre", build))
+        entries += [
             ("ExecStart", start),
             ("CPUSchedulingPolicy", "fifo"),
             ("CPUSchedulingPriority", "20"),

@@ -54,7 +54,8 @@ def is_runtime_only() -> bool:
     robot.
 
     It has the rooms ``runtime``, ``can``, ``commissioning``, ``model``, ``diagnostics`` and
-    ``cli``, and the tools ``monitor``, ``service_calls`` and ``teleoperation``.
+    ``cli``, the target ``computer``, and the tools ``commission``, ``computer``, ``monitor``,
+    ``service_calls`` and ``teleoperation``.
     """
     return find_spec("thorvaldc.compiler") is None
 

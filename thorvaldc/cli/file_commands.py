@@ -25,7 +25,7 @@ from thorvaldc.cli.diagnostic_output import (
     print_json,
     print_table,
 )
-from thorvaldc.cli.exits import DONE
+from thorvaldc.cli.exits import DONE, check_full_installation
 from thorvaldc.cli.options import diagnostic_codes, target_names
 from thorvaldc.diagnostics import Accepted, Report, Severity
 
@@ -433,6 +433,7 @@ def _folder(output: str, name: str, file_count: int) -> Path:
 def targets(json: options.Json = False) -> int:
     from thorvaldc import backends
 
+    check_full_installation("`thorvaldc targets`")
     summaries: dict[str, str] = {}
     for name in backends.names():
         try:

@@ -150,34 +150,50 @@ def _find_obstacles(
     return strangers, problems, notes
 
 
+def is_stranger(
+    configuration: bus_configuration.BusConfiguration, scan: ScanResult, entry: ScanEntry
+) -> bool:
+    """Returns ``True`` if a device, by its identity, is none of the devices in the robot file."""
+    if entry.node or entry.verdict != scan_result.UNEXPECTED:
+        return False
+    device = entry.device
+    if device is None or device.identity is None or _may_be_set_by_hand(configuration, scan, entry):
+        return False
+    return device.id != UNCONFIGURED or not _candidates(configuration, scan, device)
+
+
+def _may_be_set_by_hand(
+    configuration: bus_configuration.BusConfiguration, scan: ScanResult, entry: ScanEntry
+) -> bool:
+    """Returns ``True`` if an unknown device may be a node whose id the operator must still set."""
+    identity = entry.identity
+    return (
+        entry.device is not None
+        and bool(_nodes_set_by_hand(configuration, scan))
+        and any(
+            node.by_hand and (identity is None or node.is_like(identity))
+            for node in configuration.nodes
+        )
+    )
+
+
 def _unknown_device(
     configuration: bus_configuration.BusConfiguration, scan: ScanResult, entry: ScanEntry
 ) -> tuple[list[str], list[str]]:
     """Returns the unknown devices (strangers) and the problems for a device that is not in the
     robot file."""
+    if _may_be_set_by_hand(configuration, scan, entry):
+        return [], []
     device = entry.device
-    if _nodes_set_by_hand(configuration, scan) and device is not None:
-        # The unknown device may be a node whose node id the operator must still set.
-        identity = device.identity
-        if any(
-            node.by_hand and (identity is None or node.is_like(identity))
-            for node in configuration.nodes
-        ):
-            return [], []
     text = entry.detail + _suggest_serial(configuration, scan, device)
-    if (
+    if is_stranger(configuration, scan, entry):
+        return [text], []
+    is_candidate = (
         device is not None
         and device.id == UNCONFIGURED
-        and _candidates(configuration, scan, device)
-    ):
-        return [], [text]
-    if (
-        entry.verdict == scan_result.UNEXPECTED
-        and device is not None
-        and device.identity is not None
-    ):
-        return [text], []
-    return [], [entry.detail]
+        and bool(_candidates(configuration, scan, device))
+    )
+    return [], [text if is_candidate else entry.detail]
 
 
 def _duplicate_problem(

@@ -396,16 +396,18 @@ def scan_robot(robot: Robot, interfaces: Mapping[str, CanInterface]) -> list[sca
     CANopen node can be a command for a drive with another protocol: a bus with such a drive is only
     listened to.
     """
-    entries: list[scan_result.ScanEntry] = []
-    for bus in robot.buses:
-        master = bus_master.BusMaster(interfaces[bus.name], bus)
-        scanner = Scanner(master, configuration_of(robot, bus))
-        asks = all(node.is_canopen for node in bus.nodes if node.channels)
-        scan = scanner.active(values=False, texts=False) if asks else scanner.passive()
-        if scan.masters:
-            raise bus_master.other_master_error(list(scan.masters))
-        entries += scan.entries
-    return entries
+    scans = [scan_bus(robot, bus_master.BusMaster(interfaces[b.name], b)) for b in robot.buses]
+    return [entry for scan in scans for entry in scan.entries]
+
+
+def scan_bus(robot: Robot, master: bus_master.BusMaster) -> scan_result.ScanResult:
+    """Returns the devices on a bus of a robot, as ``scan_robot`` does."""
+    scanner = Scanner(master, configuration_of(robot, master.bus))
+    asks = all(node.is_canopen for node in master.bus.nodes if node.channels)
+    scan = scanner.active(values=False, texts=False) if asks else scanner.passive()
+    if scan.masters:
+        raise bus_master.other_master_error(list(scan.masters))
+    return scan
 
 
 def with_serial_numbers(robot: Robot, devices: Sequence[scan_result.ScanEntry]) -> Robot:

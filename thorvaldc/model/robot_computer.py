@@ -39,6 +39,11 @@ class CanAdapter:
     interface: str
     device: UsbDevice = UsbDevice()
 
+    @property
+    def spec(self) -> str:
+        """The interface as the option ``--bus`` names it."""
+        return f"socketcan:{self.interface}"
+
 
 @dataclass(frozen=True, slots=True)
 class RosStart:

@@ -60,7 +60,7 @@ def description(context: Context, robot: Robot, folder: Path) -> list[str]:
 
     def text(value: object) -> str:
         """Returns a value with the contents of the files that only this launch has made."""
-        plain = str(value).replace(str(share), "SHARE")
+        plain = str(value).replace(f"{share}/", "SHARE/")
         copy = re.compile(rf"/\S*/{robot.ros.package}_\w{{8}}/\w+\.\w+")
         return copy.sub(lambda match: text(Path(match[0]).read_text(encoding="utf-8")), plain)
 

@@ -12,7 +12,8 @@ from thorvaldc.runtime.can_base.frame_receiver import FrameReceiver
 class FedInterface:
     """A CAN interface that receives the frames it is given."""
 
-    now = received_until = 0.0
+    now: float = 0.0
+    received_until = 0.0
     overruns = 0
 
     def __init__(self) -> None:
@@ -60,6 +61,24 @@ def test_extended_remote_and_own_frames_are_ignored() -> None:
     assert frame_receiver.drain() == []
     assert frame_receiver.latest == {}
     assert frame_receiver.ignored == 2
+
+
+def test_the_load_counts_all_frames_of_the_bus_once() -> None:
+    """A standard frame with n bytes has at most 55 + 10 n bits, an extended one 80 + 10 n."""
+    frame_receiver, fed = receiver()
+    frame_receiver.drain()
+    fed.feed(CanFrame(0x181, bytes(8)), CanFrame(0x18123, bytes(8), extended=True))
+    fed.feed(CanFrame(0x201, bytes(8)), own=True)
+    frame_receiver.count_sent(CanFrame(0x201, bytes(8)))
+    fed.now = 0.9
+    frame_receiver.drain()
+    assert frame_receiver.bits_per_second is None
+    fed.now = 2.0
+    frame_receiver.drain()
+    assert frame_receiver.bits_per_second == (135 + 160 + 135) / 2.0
+    fed.now = 3.0
+    frame_receiver.drain()
+    assert frame_receiver.bits_per_second == 0.0
 
 
 def test_known_extended_frames_are_other_frames() -> None:

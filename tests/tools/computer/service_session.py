@@ -16,6 +16,7 @@ from typing import Any
 
 from tests.cli.conftest import GOOD
 from tests.container import record_session
+from tests.simulation.bus.robots import CIA402
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.runtime.control_channel import ControlClient, ServiceError
@@ -23,7 +24,7 @@ from thorvaldc.simulation.bus.bus_server import serving
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
-PROGRAM = "/opt/thorvaldc-env/bin/thorvaldc"
+PROGRAM, ASKING = (f"/opt/thorvaldc-env/bin/{name}" for name in ("thorvaldc", "asking"))
 UNIT = "thorvaldc-good.service"
 FILE = Path("/etc/thorvaldc/good/current/robot/good.yaml")
 BUS = "/run/can.sock"
@@ -74,6 +75,11 @@ def shown(key: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
+def made() -> list[str]:
+    """Returns what the installation has made."""
+    return [str(path) for path in Path("/etc").rglob("*good*")]
+
+
 def run(*command: str) -> tuple[int, str]:
     ran = subprocess.run(command, capture_output=True, text=True, check=False)
     return ran.returncode, ran.stdout + ran.stderr
@@ -105,6 +111,14 @@ def drive(wheels: Wheels) -> None:
         client.close()
 
 
+def disarm() -> None:
+    client = ControlClient("/run/thorvaldc/good/control")
+    try:
+        client.call("disarm")
+    finally:
+        client.close()
+
+
 def driver() -> int:
     """Waits for a base driver that answers, and returns its process."""
     until("a base driver", state)
@@ -126,11 +140,23 @@ def session(record: dict[str, Any]) -> None:
         for thread in threading.enumerate():
             policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
             os.sched_setscheduler(thread.native_id or 0, policy, os.sched_param(25))
+        other = CIA402.replace("with_cia402", "good")
+        Path("other.yaml").write_text(other, encoding="utf-8")
+        record["other"] = run(ASKING, "install", "other.yaml")
+        record["changed"] = made()
+        record["same"] = run(ASKING, "install", "good.yaml")
+        run(PROGRAM, "uninstall", "good")
         record["install"] = run(PROGRAM, "install", "good.yaml")
         process = driver()
         record["started"] = {**state(), "moved": wheels.moved}
         record["process"] = run("ps", "-o", "user=,cls=,rtprio=", "-p", str(process))
         record["status"] = run(PROGRAM, "status")
+        drive(wheels)
+        record["armed"] = run(ASKING, "install", "other.yaml")
+        disarm()
+        Path("good.yaml").write_text(GOOD + "# another version\n", encoding="utf-8")
+        record["running"] = run(ASKING, "install", "good.yaml")
+        driver()
         good = FILE.read_text(encoding="utf-8")
         FILE.write_text(good.replace("modules:", "modulse:", 1), encoding="utf-8")
         record["restart"] = run("systemctl", "restart", UNIT)
@@ -164,7 +190,7 @@ def session(record: dict[str, Any]) -> None:
         record["at_last"] = {"result": shown("Result"), "speed": wheels.speed}
         record["failed"] = run(PROGRAM, "status")
         record["uninstall"] = run(PROGRAM, "uninstall", "good")
-        record["left"] = [str(path) for path in Path("/etc").rglob("*good*")]
+        record["left"] = made()
 
 
 if __name__ == "__main__":

@@ -158,6 +158,23 @@ def test_a_far_installation_is_as_a_local_one(
     assert list((far / "tmp").iterdir()) == []
 
 
+def test_a_model_is_installed_as_it_is(far: Path, root: Path, thorvaldc: Command) -> None:
+    """There, too, and without the other files of its build."""
+    install_far_program(far, root)
+    assert thorvaldc("build", "good.yaml", "--target", "can", "-o", "out").status == 0
+    outcome = thorvaldc("install", "out/model.json", "--host", "robot")
+    assert outcome.status == 0, outcome.err
+    version = root / "etc/thorvaldc/good/versions/1"
+    assert (version / "robot/model.json").read_bytes() == Path("out/model.json").read_bytes()
+    assert [path.name for path in (version / "files").iterdir()] == ["model.json"]
+    (unit,) = (version / "computer/systemd").iterdir()
+    text = unit.read_text(encoding="utf-8")
+    assert "/thorvaldc run /etc/thorvaldc/good/current/robot/model.json --bus" in text
+    assert "ExecStartPre" not in text
+    shown = thorvaldc("status", "--root", str(root))
+    assert shown.out == "good: version 1\n  the base driver does not run\n"
+
+
 def test_a_far_installation_that_is_refused(far: Path, root: Path, thorvaldc: Command) -> None:
     """Nothing is installed of files of which some are missing, or without rights."""
     install_far_program(far, root)

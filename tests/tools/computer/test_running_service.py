@@ -23,6 +23,19 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("container")]
 
 
+def test_the_file_of_another_robot_is_refused(record: dict[str, Any]) -> None:
+    status, text = record["other"]
+    assert status == 1
+    assert "error[TV862] bus-wrong-robot: the device with the id 1 on the bus `main` is" in text
+    assert "other.yaml:13:" in text
+    assert record["changed"] == []
+    status, text = record["same"]
+    assert (status, "note: 5 of 5 devices on the bus `main` are as in the file" in text) == (
+        0,
+        True,
+    )
+
+
 def test_the_service_starts_disarmed_as_its_user(record: dict[str, Any]) -> None:
     status, text = record["install"]
     assert (status, "does not start" in text) == (0, False)
@@ -31,6 +44,15 @@ def test_the_service_starts_disarmed_as_its_user(record: dict[str, Any]) -> None
     assert (started["armed"], started["moved"], started["fault"]) == (False, False, "")
     assert record["status"][0] == 0
     assert "service active (running)" in record["status"][1]
+
+
+def test_an_installation_disturbs_no_driver(record: dict[str, Any]) -> None:
+    """Armed, the robot keeps its version; disarmed, its bus belongs to the driver."""
+    status, text = record["armed"]
+    assert (status, "the robot is armed: thorvaldc call" in text) == (3, True)
+    status, text = record["running"]
+    assert status == 0
+    assert "were not compared with the file: another `thorvaldc can` or `thorvaldc run`" in text
 
 
 def test_a_file_with_errors_leaves_the_last_build_in_use(record: dict[str, Any]) -> None:

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Command
+from tests.examples import example_robot
+from tests.runtime.can_base.simulated_rig import Rig
 from tests.tools.computer.conftest import Programs
 from thorvaldc.tools.computer.installed_versions import Computer
 from thorvaldc.tools.computer.robot_status import robot_status, status_lines
@@ -30,6 +32,19 @@ def test_the_clock(
     programs(systemctl="echo ActiveState=failed", timedatectl=timedatectl)
     lines = status_lines(robot_status(Computer(root), "good", is_live=True))
     assert line in lines
+
+
+def test_the_load_of_each_bus(root: Path, thorvaldc: Command) -> None:
+    thorvaldc("install", "good.yaml", "--root", str(root))
+    status = robot_status(Computer(root), "good", is_live=False)
+    rig = Rig(example_robot("4wd4ws_wide"))
+    rig.ready()
+    rig.run(2.0)
+    status["driver"] = rig.driven.state()
+    (load,) = status["driver"]["bus_load"].values()
+    assert load > 0.05
+    (line,) = (line for line in status_lines(status) if line.startswith("  bus "))
+    assert line == f"  bus main: at most {100.0 * load:.0f} % of its bit rate in use"
 
 
 def test_a_driver_of_another_user(

@@ -466,6 +466,8 @@ class BusConnection:
                 queued = self.interface.send(frame, timeout)
             except ConnectionError as error:
                 self.receiver.lost = str(error) or "the interface is lost"
+        if queued:
+            self.receiver.count_sent(frame)
         self.not_sent += not queued
         return queued
 

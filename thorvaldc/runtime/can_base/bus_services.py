@@ -274,12 +274,23 @@ def component_statuses(
         yield ComponentStatus(SUPPLY, level, reason or "ok", supply.source)
 
 
+def measured_load(connection: BusConnection) -> float | None:
+    """Returns the load of a bus as a fraction of its bit rate, or ``None`` if it is not known yet.
+
+    The load is at most this: see ``bits_per_second`` of the receiver.
+    """
+    bits = connection.receiver.bits_per_second
+    return None if bits is None else round(bits / connection.bus.bitrate, 4)
+
+
 def _connection_statuses(connection: BusConnection, now: float) -> Iterator[ComponentStatus]:
     fault = connection.problem(now)
     values: dict[str, Any] = {
         **connection.counters,
         "relayed": connection.relay.passed.total(),
     }
+    if (load := measured_load(connection)) is not None:
+        values["load"] = load
     level, text = ("error", fault.text) if fault else ("ok", "ok")
     yield ComponentStatus(f"bus {connection.bus.name}", level, text, values)
     for controller in connection.controllers:

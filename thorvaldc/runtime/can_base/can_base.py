@@ -53,6 +53,7 @@ from thorvaldc.runtime.can_base.bus_services import (
     arming_reasons,
     bus_services,
     component_statuses,
+    measured_load,
 )
 from thorvaldc.runtime.can_base.motor_controller import Intent
 from thorvaldc.runtime.motion_supervision import Axis, Deviation
@@ -354,6 +355,7 @@ class CanBase(base_interface.BaseHandle):
             "batteries": {name: finite(b.source) for name, b in self.batteries().items()},
             "supply": None if (supply := self.supply()) is None else finite(supply.source),
             "outputs": {board.node.name: dict(board.outputs) for board in self.nodes.boards},
+            "bus_load": {c.bus.name: measured_load(c) for c in self.connections},
             "not_relayed": self.nodes.relay_drops(),
         }
 

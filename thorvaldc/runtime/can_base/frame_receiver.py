@@ -1,4 +1,5 @@
-"""Receives CAN frames for the control cycle, and detects frames that arrive too often."""
+"""Receives CAN frames for the control cycle, measures the load of the bus, and detects frames that
+arrive too often."""
 
 from __future__ import annotations
 
@@ -8,12 +9,15 @@ from collections import deque
 from collections.abc import Collection, Iterator, Mapping
 from typing import NamedTuple
 
-from thorvaldc.can.frame import NANOSECONDS, CanInterface, ReceivedFrame
+from thorvaldc.can.frame import NANOSECONDS, CanFrame, CanInterface, ReceivedFrame
 from thorvaldc.model import Bus, FrameDefinition
 from thorvaldc.model.bus import key_text
+from thorvaldc.model.bus_timing import worst_case_bits
 
 EVENT_LIMIT = 512
 """Size of the event queue, in frames."""
+LOAD_WINDOW = 1.0
+"""Time (s) over which the load of a bus is measured."""
 _POLL = 0.005
 """Longest time (s) for which the receiving thread waits for a frame."""
 
@@ -48,6 +52,9 @@ class FrameReceiver:
     - ``dropped``: number of events that were lost because the event queue was full;
     - ``ignored``: number of remote frames and of other extended frames, which CANopen does not use;
     - ``ignored_id``: identifier of the newest of them that has the number of an event, or ``None``;
+    - ``bits_per_second``: bits of the frames on the bus in the last ``LOAD_WINDOW``, or ``None``
+      before its end.  Each received or sent frame counts with the most stuff bits that it can have;
+      error frames and repetitions do not count, which CAN controllers do not report;
     - ``drained_until``: time (s) up to which all frames on the bus are in ``latest``, and were
       returned by ``drain``.  Frames that still wait in the CAN interface, because the receiving
       thread runs late, are newer.
@@ -72,6 +79,7 @@ class FrameReceiver:
         self.dropped = 0
         self.ignored = 0
         self.ignored_id: int | None = None
+        self.bits_per_second: float | None = None
         self.drained_until = -math.inf
         self.lost: str = ""
         """Reason why the CAN interface is lost; empty if the CAN interface works."""
@@ -83,6 +91,9 @@ class FrameReceiver:
         self._receiving: threading.Thread | None = None
         self._stopping = threading.Event()
         self._read_until = -math.inf
+        # The receiving thread and the control loop have a counter each.
+        self._received_bits = self._sent_bits = self._window_bits = 0
+        self._window_start = math.nan
 
     def start(self) -> None:
         """Starts the thread that receives CAN frames."""
@@ -109,11 +120,24 @@ class FrameReceiver:
                     self._store(received)
             except ConnectionError as error:
                 self.lost = str(error) or "the interface is lost"
+        self._measure_load(self.interface.now)
         with self._lock:
             self.drained_until = self._read_until
             events = list(self._events)
             self._events.clear()
         return events
+
+    def count_sent(self, frame: CanFrame) -> None:
+        """Counts a frame for the load of the bus."""
+        self._sent_bits += worst_case_bits(frame.length, frame.extended)
+
+    def _measure_load(self, now: float) -> None:
+        bits, elapsed = self._received_bits + self._sent_bits, now - self._window_start
+        if elapsed < LOAD_WINDOW:
+            return
+        if not math.isnan(elapsed):
+            self.bits_per_second = (bits - self._window_bits) / elapsed
+        self._window_bits, self._window_start = bits, now
 
     def _run(self) -> None:
         while not self._stopping.is_set():
@@ -134,6 +158,7 @@ class FrameReceiver:
         frame = received.frame
         if received.own:
             return
+        self._received_bits += worst_case_bits(frame.length, frame.extended)
         key = frame.key
         if frame.remote or (frame.extended and key not in self._extended):
             self.ignored += 1

@@ -18,6 +18,7 @@ from thorvaldc.cli.diagnostic_output import message
 from thorvaldc.cli.exits import DONE, OutsideError, write_errors
 from thorvaldc.cli.robot_file import load_robot
 from thorvaldc.diagnostics import did_you_mean
+from thorvaldc.model.model_json import is_model_file
 from thorvaldc.model.settings import AT_START, AUTOMATIC
 
 if TYPE_CHECKING:
@@ -46,7 +47,8 @@ def install(
     file: options.RobotFile, host: Host = "", root: Root = "", dry_run: DryRun = False
 ) -> int:
     from thorvaldc.backends.computer import service_of
-    from thorvaldc.tools.computer.installed_versions import Computer, version_of
+    from thorvaldc.tools.computer.answering_devices import compare_devices
+    from thorvaldc.tools.computer.installed_versions import Computer, version_of_model
 
     if host:
         check_host(host, root)
@@ -54,9 +56,15 @@ def install(
     # The service builds the file without options, and root runs no program of others (`--trust`).
     loaded = load_robot(file, [], False)
     robot, computer = loaded.robot, Computer(root_folder(root))
-    version = version_of(robot, Path(file), loaded.sources, computer.root)
+    if is_model_file(file):
+        version = version_of_model(robot, Path(file))
+    else:
+        # The runtime package does not contain the compiler.
+        from thorvaldc.tools.computer.robot_folder import version_of
+
+        version = version_of(robot, Path(file), loaded.sources, computer.root)
     if host:
-        return _install_there(host, version, Path(file).name, dry_run)
+        return _install_there(host, version, dry_run)
     plan = computer.plan(version)
     if not plan:
         message(f"{robot.name} is installed, and nothing has changed")
@@ -74,6 +82,11 @@ def install(
     if not root:
         _check_computer(robot)
         _check_at_rest(computer, version.name)
+        answers = compare_devices(robot)
+        for note in answers.notes:
+            message(f"note: {note}")
+        if answers.report.has_errors:
+            return loaded.show(answers.report)
     with write_errors(computer.folder(version.name)):
         computer.install(version)
     if not root:
@@ -86,7 +99,7 @@ def install(
     return DONE
 
 
-def _install_there(host: str, version: Version, file: str, dry_run: bool) -> int:
+def _install_there(host: str, version: Version, dry_run: bool) -> int:
     """Lets a far ``thorvaldc install`` make the same version of the same files."""
     from thorvaldc.tools.computer.far_computer import reach
     from thorvaldc.tools.computer.installed_versions import CACHE
@@ -94,7 +107,7 @@ def _install_there(host: str, version: Version, file: str, dry_run: bool) -> int
     sources = ("files/", f"{CACHE}/")
     files = {name: data for name, data in version.files.items() if name.startswith(sources)}
     folder, words = f"files/{version.robot_folder}", ["--dry-run"] if dry_run else []
-    return reach(host).install(files, folder, file, *words)
+    return reach(host).install(files, folder, version.robot_file, *words)
 
 
 def uninstall(

@@ -22,62 +22,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from thorvaldc.backends.can.canmap import canmap_text
-from thorvaldc.backends.computer import FOLDER, PLACES, STATE, name_on_computer
-from thorvaldc.compiler.modules.fetched_library import cache_folder
-from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.compiler.source.readable_folders import is_below
-from thorvaldc.diagnostics import OutsideError, Report
+from thorvaldc.backends.computer import (
+    FOLDER,
+    MODEL,
+    PLACES,
+    STATE,
+    computer_files,
+    name_on_computer,
+)
+from thorvaldc.diagnostics import OutsideError
 from thorvaldc.diagnostics.files import read_json, write_file
 from thorvaldc.model import Robot
 
-MOST_FILES, MOST_BYTES = 5_000, 500_000_000
-"""Limits of the files beside a robot file that belong to it."""
 WANTED_BY = "/etc/systemd/system/multi-user.target.wants"
 CACHE = "cache/thorvaldc/libraries"
 """Folder of a version with the libraries of repositories, as ``XDG_CACHE_HOME`` leads to them."""
 _SUMS = "installed.json"
 _ROBOT = "robot"
-
-
-def files_of(
-    path: Path, sources: Mapping[str, Path], left_out: Path
-) -> tuple[Path, dict[str, Path]]:
-    """Returns the folder that contains a robot file with all that it names, and its files.
-
-    The folder is that of the robot file, or the nearest one above it with the libraries and
-    designs that the robot file names.  Hidden files, builds, and links that lead out of the folder
-    are left out: root can read what the owner of the files cannot, and everybody can read the copy.
-
-    - ``sources``: source files by the names in diagnostics; those of the built-in library begin
-      with `<`.
-    - ``left_out``: a folder that is no part of the robot.
-
-    Raises ``OutsideError`` if the folder is too large.
-    """
-    own = [path, *(p for name, p in sources.items() if name[:1] not in ("<", "/"))]
-    root = Path(os.path.commonpath([os.path.realpath(p.parent) for p in own]))
-    files: dict[str, Path] = {}
-    size = 0
-    for folder, folders, names in os.walk(root):
-        is_build = "manifest.json" in names and "model.json" in names
-        if is_build or os.path.realpath(folder) == os.path.realpath(left_out):
-            folders.clear()
-            continue
-        folders[:] = sorted(name for name in folders if name[0] != "." and name != "__pycache__")
-        for name in sorted(names):
-            file = Path(folder) / name
-            if name[0] == "." or not file.is_file() or not is_below(file, [str(root)]):
-                continue
-            size += file.stat().st_size
-            files[file.relative_to(root).as_posix()] = file
-            if len(files) > MOST_FILES or size > MOST_BYTES:
-                raise OutsideError(
-                    f"the folder {root} has more than {MOST_FILES} files or "
-                    f"{MOST_BYTES // 1_000_000} MB: put the robot file into a folder with its"
-                    " modules and meshes alone"
-                )
-    return root, files
 
 
 @dataclass(frozen=True)
@@ -87,11 +48,13 @@ class Version:
     - ``name``: name of the robot on its computer.
     - ``files``: content of each file by its path in the folder of the version.
     - ``robot_folder``: folder of the robot file below the folder of the files.
+    - ``robot_file``: name of the robot file or model in this folder.
     """
 
     name: str
     files: dict[str, bytes]
     robot_folder: str
+    robot_file: str
 
     @property
     def links(self) -> dict[str, str]:
@@ -107,39 +70,26 @@ class Version:
         return links
 
 
-def version_of(robot: Robot, path: Path, sources: Mapping[str, Path], left_out: Path) -> Version:
-    """Returns the version of a robot that a robot file describes.
+def version_of_model(robot: Robot, path: Path) -> Version:
+    """Returns the version of a robot whose service drives the model in a file, without a compiler.
 
-    - ``sources``, ``left_out``: as for ``files_of``.
-
-    Raises ``OutsideError`` if the robot has no files for a computer, or if the robot file does not
-    describe the same robot without the files of other folders.
+    Raises ``OutsideError`` if the robot has no files for a computer.
     """
-    root, files = files_of(path, sources, left_out)
-    content = {f"files/{name}": file.read_bytes() for name, file in files.items()}
-    # The service reads the libraries of repositories from a cache of its own.
-    cache = cache_folder()
-    for source in sources.values():
-        if cache in source.parents:
-            library = cache / source.relative_to(cache).parts[0]
-            for name, file in _walk(library):
-                content[f"{CACHE}/{library.name}/{name}"] = file.read_bytes()
-    targets = emit(robot, ["computer"], Report())
-    content |= {name: data for name, data in targets.items() if name.startswith("computer/")}
+    return version_with(robot, {f"files/{MODEL}": path.read_bytes()}, ".", MODEL)
+
+
+def version_with(robot: Robot, files: dict[str, bytes], folder: str, name: str) -> Version:
+    """Returns the version of a robot with files and the files of the target `computer`.
+
+    - ``folder``, ``name``: folder below that of the files, and name of the robot file.
+
+    Raises ``OutsideError`` if the robot has no files for a computer.
+    """
     if not robot.buses:
         raise OutsideError(f"{robot.name} has no motor controllers: no service can drive it")
-    folder = Path(os.path.realpath(path.parent)).relative_to(root).as_posix()
-    version = Version(name_on_computer(robot), content, folder)
-    with tempfile.TemporaryDirectory(prefix="thorvaldc-install-") as temporary:
-        _write(version, Path(temporary))
-        copy = compile_file(Path(temporary, "files", folder, path.name))
-    if not isinstance(copy.model, Robot) or canmap_text(copy.model) != canmap_text(robot):
-        reason = next((f" ({error.message})" for error in copy.report.errors), "")
-        raise OutsideError(
-            f"{path} does not compile to the same robot without files of other folders{reason}: put"
-            f" what it names below {root}"
-        )
-    return version
+    if robot.computer is None:
+        raise OutsideError("this model has no `computer`: build its robot file again")
+    return Version(name_on_computer(robot), {**files, **computer_files(robot, name)}, folder, name)
 
 
 @dataclass
@@ -178,7 +128,7 @@ class Computer:
             return []
         return [
             name
-            for name, file in _walk(version)
+            for name, file in files_below(version)
             if name != _SUMS and sums.get(name) != hashlib.sha256(file.read_bytes()).hexdigest()
         ]
 
@@ -222,7 +172,7 @@ class Computer:
             new.parent.mkdir(parents=True, exist_ok=True)
             temporary = Path(tempfile.mkdtemp(prefix=".new-", dir=new.parent))
             try:
-                _write(version, temporary)
+                write_version(version, temporary)
                 write_file(temporary / _SUMS, json.dumps(_sums(version.files)))
                 temporary.chmod(0o755)
                 temporary.rename(new)
@@ -265,7 +215,8 @@ def _parent(path: str) -> str:
     return str(PurePosixPath(path).parent)
 
 
-def _write(version: Version, folder: Path) -> None:
+def write_version(version: Version, folder: Path) -> None:
+    """Writes the files of a version to an empty folder."""
     for name, data in version.files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -284,16 +235,17 @@ def _link(path: Path, target: str) -> None:
     temporary.replace(path)
 
 
-def _walk(version: Path) -> Iterator[tuple[str, Path]]:
-    for folder, _, names in os.walk(version):
+def files_below(root: Path) -> Iterator[tuple[str, Path]]:
+    """Yields the files in a folder with their paths below it, without links."""
+    for folder, _, names in os.walk(root):
         for name in names:
             path = Path(folder, name)
             if not path.is_symlink():
-                yield path.relative_to(version).as_posix(), path
+                yield path.relative_to(root).as_posix(), path
 
 
 def _content(version: Path) -> dict[str, bytes]:
-    return {name: path.read_bytes() for name, path in _walk(version) if name != _SUMS}
+    return {name: path.read_bytes() for name, path in files_below(version) if name != _SUMS}
 
 
 def _sums(files: Mapping[str, bytes]) -> dict[str, str]:

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.backends.computer import CONTROL, STATE, robot_file_of, starts_ros
-from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.cli.robot_file import read_robot_file
+from thorvaldc.diagnostics import OutsideError
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import model_hash
 from thorvaldc.tools.computer.installed_versions import Computer
@@ -53,7 +54,11 @@ def robot_status(computer: Computer, name: str, *, is_live: bool) -> dict[str, A
             status["service"] = _service(unit)
         status["ros"] = starts_ros(text)
         if (file := robot_file_of(text)) and current is not None:
-            compilation = compile_file(current / "robot" / file)
+            try:
+                compilation = read_robot_file(str(current / "robot" / file), [], False)
+            except OutsideError as error:  # this is the runtime alone
+                status["errors"] = [str(error)]
+                continue
             status["errors"] = [str(d.message) for d in compilation.report.errors]
             built = computer.path(STATE.format(name=name)) / "model.json"
             with contextlib.suppress(OSError):  # no service has built it yet
@@ -139,6 +144,11 @@ def status_lines(status: dict[str, Any]) -> list[str]:
     lines += [f"  FAULT {driver['fault']}"] if driver["fault"] else []
     lines += [f"  locked by {', '.join(driver['locks'])}"] if driver["locks"] else []
     lines += [f"  warning: {text}" for text in driver["warnings"]]
+    lines += [
+        f"  bus {bus}: at most {100.0 * load:.0f} % of its bit rate in use"
+        for bus, load in driver.get("bus_load", {}).items()
+        if load is not None
+    ]
     lines += [
         f"  {battery}: {100.0 * values['charge']:.0f} %"
         for battery, values in driver.get("batteries", {}).items()
