@@ -14,6 +14,7 @@ from thorvaldc.backends.computer import CONTROL, STATE, robot_file_of, starts_ro
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import model_hash
+from thorvaldc.runtime.state_text import state_rows
 from thorvaldc.tools.computer.installed_versions import Computer
 
 _PROPERTIES = ("ActiveState", "SubState", "ActiveEnterTimestamp", "NRestarts", "Result")
@@ -134,17 +135,7 @@ def status_lines(status: dict[str, Any]) -> list[str]:
     lines += _clock_lines(status["clock"])
     if driver is None:
         return [*lines, f"  {status['driver_error']}"]
-    state = "armed" if driver["armed"] else f"not armed: {driver['held'] or 'no reason'}"
-    lines.append(f"  driver {driver['mode']}, {state}, drives: {driver['source'] or 'nobody'}")
-    lines += [f"  FAULT {driver['fault']}"] if driver["fault"] else []
-    lines += [f"  locked by {', '.join(driver['locks'])}"] if driver["locks"] else []
-    lines += [f"  warning: {text}" for text in driver["warnings"]]
-    lines += [
-        f"  {battery}: {100.0 * values['charge']:.0f} %"
-        for battery, values in driver.get("batteries", {}).items()
-        if values.get("charge") is not None
-    ]
-    return lines
+    return [*lines, *(f"  {label}: {text}" for label, text in state_rows(driver))]
 
 
 def _clock_lines(clock: dict[str, Any]) -> Iterator[str]:
