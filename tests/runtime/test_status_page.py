@@ -74,10 +74,12 @@ class Site:
             return client.call("state")
 
     def until(self, reached: Callable[[], bool]) -> None:
-        """Waits in virtual time, of which a minute must be enough."""
-        end = self.state()["time"] + 60.0
+        """Waits for what stays true, in virtual time, of which a minute must be enough."""
+        now = self.state()["time"]
+        end = now + 60.0
         while not reached():
-            assert self.state()["time"] < end
+            assert now < end
+            now = self.state()["time"]
 
     def token(self) -> str:
         page = self.request("GET", "/").text

@@ -65,7 +65,7 @@ def test_a_fault_with_its_page(
             status = robot_status(Computer(Path("r")), "good", is_live=False)
             return status_lines(status), status["driver"], site.request("GET", "/state").json
 
-        lines, driver, shown = site.while_it_runs(look)
+        lines, driver, shown = site.while_it_runs(look, drives=False)
     fault = next(line for line in lines if line.startswith("  FAULT: "))
     assert "no tpdo1 for" in fault
     assert fault.endswith("(TV880 bus-stopped, see `thorvaldc explain TV880`)")
