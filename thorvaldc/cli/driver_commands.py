@@ -53,6 +53,24 @@ Commissioned = Annotated[
     ),
 ]
 
+ChannelName = Annotated[
+    str,
+    typer.Option(
+        "--name",
+        metavar="NAME",
+        help="Name of the control channel, for `teleop --to` and `call`.",
+        show_default="the robot's; none with --twist or --duration",
+    ),
+]
+StatusPort = Annotated[
+    str,
+    typer.Option(
+        "--status-port",
+        metavar="PORT",
+        help="Serve a page with the state and a stop button on this computer; 0: any port.",
+    ),
+]
+
 
 def run(
     file: options.RobotFile,
@@ -83,23 +101,8 @@ def run(
     fast: Annotated[
         bool, typer.Option("--fast", help="Simulate a virtual robot faster than real time.")
     ] = False,
-    name: Annotated[
-        str,
-        typer.Option(
-            "--name",
-            metavar="NAME",
-            help="Name of the control channel, for `teleop --to` and `call`.",
-            show_default="the robot's; none with --twist or --duration",
-        ),
-    ] = "",
-    status_port: Annotated[
-        str,
-        typer.Option(
-            "--status-port",
-            metavar="PORT",
-            help="Serve a page with the state and a stop button on this computer; 0: any port.",
-        ),
-    ] = "",
+    name: ChannelName = "",
+    status_port: StatusPort = "",
     commissioned: Commissioned = False,
     json: options.Json = False,
     library: options.Library = [],  # noqa: B006
@@ -130,7 +133,9 @@ def run(
     # Without a twist and a duration, other programs drive the robot through the control channel.
     channel = name or ("" if twist or duration else loaded.robot.name)
     with contextlib.ExitStack() as locks:
-        listener = None if port is None else listen(port, "--status-port")
+        listener = None
+        if port is not None:
+            listener = locks.enter_context(listen(port, "--status-port"))
         report = Report()
         try:
             checked = _read_report(file, loaded.robot) if commissioned else None
