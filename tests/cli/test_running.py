@@ -7,6 +7,7 @@ import math
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -131,6 +132,8 @@ def test_a_fault_ends_an_unattended_run(thorvaldc: Command) -> None:
     assert status == 3
     assert out.startswith("fault")
     assert "error[TV880] bus-stopped: fl_controller: no tpdo1 for" in err
+    log = r"fault: fl_controller: no tpdo1 .* \(TV880 bus-stopped, see `thorvaldc explain TV880`\)"
+    assert re.search(log, err)
     assert "Traceback" not in err
 
 
@@ -142,6 +145,11 @@ def test_a_fault_ends_an_unattended_run(thorvaldc: Command) -> None:
         (["good.yaml", "--bus", "virtual", "--fast"], "needs a --duration"),
         (["good.yaml", "--bus", "virtual", "--duration", "1 m"], "'1 m'"),
         (["good.yaml", "--bus", "virtual", "--seed", "x"], "no whole number"),
+        (["good.yaml", "--bus", "virtual", "--status-port", "65536"], "from 0 to 65535"),
+        (
+            ["good.yaml", "--bus", "virtual", "--status-port", "0", "--twist", "0,0,0"],
+            "--name selects one",
+        ),
         (["good.yaml", "--bus", "sim:x", "--seed", "1"], "for a simulated robot"),
         (["good.yaml", "--bus", "sim:x", "--physics", "mujoco"], "for a simulated robot"),
     ],
@@ -203,6 +211,37 @@ def test_a_signal_stops_the_robot_and_disables_the_drives(number: int, tmp_path:
     assert process.returncode == 0, err
     assert out.startswith(("stopping", "ready")), out
     assert "Traceback" not in err
+
+
+def test_a_status_port_in_use(thorvaldc: Command) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = str(other.getsockname()[1])
+        status, out, err = thorvaldc(*VIRTUAL, "--status-port", port)
+    assert (status, out) == (3, "")
+    assert f"port {port} of 127.0.0.1 cannot be used" in err
+    assert "--status-port names another one" in err
+
+
+def test_ctrl_c_ends_a_run_whose_page_has_a_client_that_hangs(tmp_path: Path) -> None:
+    (tmp_path / "good.yaml").write_text(GOOD + SLOW)
+    with tempfile.TemporaryDirectory(prefix="tv") as folder:  # a socket's path is short
+        arguments = ("--bus", "virtual", "--name", f"{folder}/control", "--status-port", "0")
+        process = started(tmp_path, "good.yaml", *arguments)
+        assert process.stderr is not None
+        address = process.stderr.readline()
+        assert address.startswith("status page: http://127.0.0.1:")
+        port = int(address.rpartition(":")[2].strip("/\n"))
+        for line in process.stderr:
+            if "standby" in line:
+                break
+        with socket.create_connection(("127.0.0.1", port)) as client:
+            client.sendall(b"GET / HT")
+            os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+            out, err = process.communicate(timeout=300)
+    assert (process.returncode, "Traceback" in err) == (0, False)
+    assert out.startswith("standby")
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port))
 
 
 @needs_tools

@@ -32,6 +32,7 @@ from thorvaldc.cli.robot_file import (
     warn_once,
 )
 from thorvaldc.diagnostics import DiagnosticError, Report
+from thorvaldc.runtime.state_text import page_text
 
 if TYPE_CHECKING:
     from thorvaldc.can.frame import CanInterface
@@ -49,6 +50,24 @@ Commissioned = Annotated[
         "--commissioned",
         help="Refuse a robot whose report of `can commission` is missing, old, not passed, or of"
         " other controllers.",
+    ),
+]
+
+ChannelName = Annotated[
+    str,
+    typer.Option(
+        "--name",
+        metavar="NAME",
+        help="Name of the control channel, for `teleop --to` and `call`.",
+        show_default="the robot's; none with --twist or --duration",
+    ),
+]
+StatusPort = Annotated[
+    str,
+    typer.Option(
+        "--status-port",
+        metavar="PORT",
+        help="Serve a page with the state and a stop button on this computer; 0: any port.",
     ),
 ]
 
@@ -82,23 +101,18 @@ def run(
     fast: Annotated[
         bool, typer.Option("--fast", help="Simulate a virtual robot faster than real time.")
     ] = False,
-    name: Annotated[
-        str,
-        typer.Option(
-            "--name",
-            metavar="NAME",
-            help="Name of the control channel, for `teleop --to` and `call`.",
-            show_default="the robot's; none with --twist or --duration",
-        ),
-    ] = "",
+    name: ChannelName = "",
+    status_port: StatusPort = "",
     commissioned: Commissioned = False,
     json: options.Json = False,
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.can.open_interface import lock_buses, open_interfaces
+    from thorvaldc.runtime.loopback import HOST, listen
     from thorvaldc.runtime.run_session import RunSession
     from thorvaldc.runtime.se2 import parse_twist
+    from thorvaldc.runtime.status_page import status_page
 
     seconds = options.parse_duration(duration, "--duration") if duration else math.inf
     commanded_twist = options.parsed(twist, parse_twist, "--twist") if twist else None
@@ -110,8 +124,18 @@ def run(
         raise typer.BadParameter("needs a --duration", param_hint="'--fast'")
     if fast:
         options.refuse_options({"--name": name}, "a run with --fast has no control channel")
+    port = options.parse_port(status_port, "--status-port") if status_port else None
+    if port is not None and (twist or duration) and not name:
+        raise typer.BadParameter(
+            "needs a control channel; --name selects one", param_hint="'--status-port'"
+        )
     loaded = load_robot(file, library, trust)
+    # Without a twist and a duration, other programs drive the robot through the control channel.
+    channel = name or ("" if twist or duration else loaded.robot.name)
     with contextlib.ExitStack() as locks:
+        listener = None
+        if port is not None:
+            listener = locks.enter_context(listen(port, "--status-port"))
         report = Report()
         try:
             checked = _read_report(file, loaded.robot) if commissioned else None
@@ -130,9 +154,7 @@ def run(
                 parameters=parameters or None,
                 twist=commanded_twist,
                 duration=seconds,
-                # Without a twist and a duration, other programs drive the robot through the control
-                # channel.
-                channel=name or ("" if twist or duration else loaded.robot.name),
+                channel=channel,
                 threaded=not virtual,
                 paced=virtual and not fast,
             )
@@ -146,6 +168,9 @@ def run(
         if is_hardware(bus):
             warn_once()
         loaded.show(report)
+        if listener is not None:
+            message(f"status page: http://{HOST}:{listener.getsockname()[1]}/")
+            locks.enter_context(status_page(listener, channel))
         return _drive(session, loaded, json)
 
 
@@ -242,6 +267,8 @@ class StatusView:
             self._erase_line()
             for change in filter(session.is_news, changes):
                 reason = f": {change.reason}" if change.reason else ""
+                if change.reason and (code := session.base.fault_code) is not None:
+                    reason += f" ({page_text(code)})"
                 elapsed = change.time - session.start_time
                 message(f"{elapsed:8.2f} s  {change.state.value}{reason}")
             changes.clear()

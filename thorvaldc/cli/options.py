@@ -320,6 +320,19 @@ def parse_time(text: str) -> float:
     return float(match[1]) * numerator / denominator
 
 
+MAX_PORT = 65535
+
+
+def parse_port(text: str, option: str) -> int:
+    """Returns the TCP port of an option.  Raises ``typer.BadParameter`` if it is none."""
+    number = int(text) if text.isascii() and text.isdigit() else -1
+    if not 0 <= number <= MAX_PORT:
+        raise typer.BadParameter(
+            f"expected a port from 0 to {MAX_PORT}, got {text!r}", param_hint=f"'{option}'"
+        )
+    return number
+
+
 def parse_duration(text: str, option: str, least: float = 0.0) -> float:
     """Parses a duration from an option and returns the duration in s.
 

@@ -221,7 +221,8 @@ def diagnostic_statuses(name: str, node: Any, robot: DrivenRobot | None) -> list
         statuses = [diagnostic_status(f"{name}: driver", hardware, level, text, {})]
     else:
         state = robot.state()
-        for key in ("batteries", "supply", "outputs", "bus_load", "cycles", "overruns"):
+        left_out = ("batteries", "supply", "outputs", "bus_load", "cycles", "overruns", "joints")
+        for key in left_out:
             state.pop(key, None)
         state["base"] = node.values["base"]
         state["parameter_set"] = node.values["parameter_set"]

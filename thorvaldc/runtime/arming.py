@@ -48,6 +48,7 @@ class ArmableRobot:
 
     - ``base``, ``driver``, ``multiplexer``: parts of the robot;
     - ``pace``: when control cycles are due, with the statistics ``timing``;
+    - ``start_time``: time (s) at which the driver was made;
     - ``feed``: function that commands a twist, in addition to the sources of the multiplexer;
     - ``paused``: ``True`` while a simulation is paused;
     - ``events``: what has happened, such as ``armed``.
@@ -66,6 +67,7 @@ class ArmableRobot:
         self.permission = driver.permission = MotionPermission.of(robot, arming or "", armed=False)
         self.permission.home = lambda again: base.home(self.now, again=again)
         self.pace = pace
+        self.start_time = self.now
         self.multiplexer = Multiplexer(driver.permission)
         self.feed: Feed | None = None
         self.paused = False

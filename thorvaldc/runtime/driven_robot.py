@@ -22,6 +22,8 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
+from thorvaldc.diagnostics import CODES
+from thorvaldc.diagnostics.files import finite
 from thorvaldc.diagnostics.installation import program_version
 from thorvaldc.model import Robot
 from thorvaldc.runtime import service_table
@@ -476,7 +478,8 @@ def _permission_services(robot: ArmableRobot) -> list[service_table.Service]:
 def robot_state(robot: ArmableRobot, now: float) -> dict[str, Any]:
     """Returns the state of a robot as JSON values, in m, rad, m/s and rad/s.
 
-    ``time``: time (s) of the last control cycle.  The base adds its own values, such as those of
+    ``time``: time (s) of the last control cycle; ``uptime``: since the start of the driver;
+    ``age``: since the joints were measured.  The base adds its own values, such as those of
     batteries; its ``fault`` replaces that of the driver.
     """
     driver, multiplexer = robot.driver, robot.multiplexer
@@ -484,6 +487,7 @@ def robot_state(robot: ArmableRobot, now: float) -> dict[str, Any]:
     values = {
         "robot": driver.robot.name,
         "time": state.time if state.time > 0.0 else 0.0,
+        "uptime": now - robot.start_time,
         "mode": state.mode.value,
         "armed": robot.armed,
         "arming": robot.arming,
@@ -497,7 +501,10 @@ def robot_state(robot: ArmableRobot, now: float) -> dict[str, Any]:
         "infeasible": state.infeasible._asdict(),
         "odometry": state.odometry.twist._asdict(),
         "pose": state.pose._asdict(),
+        "joints": _joints(robot),
+        "age": None if state.joints is None else now - state.joints.time,
         "fault": state.fault,
+        "fault_code": CODES["bus-stopped"].number if state.fault else "",
         "held": state.hold_reason,
         "limited_by": driver.limit_of(state.commanded_twist),
         "not_followed": state.not_followed,
@@ -507,7 +514,24 @@ def robot_state(robot: ArmableRobot, now: float) -> dict[str, Any]:
         "overruns": robot.timing.overruns,
     }
     base = robot.base.values()
-    return {**values, **base, "fault": base.get("fault") or values["fault"]}
+    ours = {key: base.get(key) or values[key] for key in ("fault", "fault_code")}
+    return {**values, **base, **ours}
+
+
+def _joints(robot: ArmableRobot) -> dict[str, dict[str, float | None]]:
+    """Returns the measured speed (rad/s) of each driven wheel and the steering angle (rad) of each
+    steered wheel, by the name of the wheel; ``None``: the newest report is too old."""
+    joints = robot.driver.state.joints
+    if joints is None:
+        return {}
+    return {
+        wheel.name: finite(
+            ({"speed": joints.speeds[i]} if wheel.driven else {})
+            | ({"angle": joints.angles[i]} if wheel.steered else {})
+        )
+        for i, wheel in enumerate(robot.robot.wheels)
+        if wheel.driven or wheel.steered
+    }
 
 
 def robot_description(robot: ArmableRobot) -> dict[str, Any]:

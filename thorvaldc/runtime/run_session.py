@@ -105,7 +105,7 @@ class RunSession:
                 TwistInput(SOURCE, "", 0, self.driven.driver.settings.command_timeout)
             )
             self.driven.feed = self._feed
-        self.start_time = clock.now
+        self.start_time = self.driven.start_time
         self.ready_time = math.nan
 
     @property
@@ -227,7 +227,8 @@ class RunSession:
 
     def _verdict(self) -> Diagnostic | None:
         state_machine = self.base.state_machine
-        if state_machine.state not in (BaseState.FAULT, BaseState.ESTOP):
+        code = self.base.fault_code
+        if code is None:
             if self.refusal:
                 message = f"the robot cannot be armed: {self.refusal}"
                 return Diagnostic(CODES["bus-start"], message, self.robot.span)
@@ -235,16 +236,13 @@ class RunSession:
                 message = f"the twist has ended: {self.twist_ended}"
                 return Diagnostic(CODES["bus-stopped"], message, self.robot.span)
             return None
-        code, hint = "bus-stopped", None
+        hint = None
         if state_machine.mismatch:
-            code = "bus-mismatch"
             hint = (
                 "is it this robot's file? `thorvaldc can plan` shows the differences, and"
                 " `thorvaldc can identify FOLDER` finds the file of this robot"
             )
-        elif not state_machine.was_started:
-            code = "bus-start"
-        return Diagnostic(CODES[code], state_machine.reason, self.robot.span, hint)
+        return Diagnostic(code, state_machine.reason, self.robot.span, hint)
 
     def status_line(self) -> str:
         """Returns a line of text with the state, twist, pose, battery and timing of the robot.

@@ -318,7 +318,7 @@ def test_the_start_line_drives_a_simulated_robot_disarmed(
             short.symlink_to(root)
             monkeypatch.chdir(short.parent)
             shown = thorvaldc("status", "--root", "r")
-            assert "good: version 1\n  driver " in shown.out
+            assert "good: version 1\n  driver: " in shown.out
             assert ", not armed: " in shown.out
             assert shown.status == 0
             file = root / "etc/thorvaldc/good/versions/1/files/good.yaml"

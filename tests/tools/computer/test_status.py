@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.cli.conftest import Command
 from tests.examples import example_robot
 from tests.runtime.can_base.simulated_rig import Rig
+from tests.runtime.test_status_page import Site
+from tests.simulation.bus.robots import CIA402, compiled
 from tests.tools.computer.conftest import Programs
 from thorvaldc.tools.computer.installed_versions import Computer
 from thorvaldc.tools.computer.robot_status import robot_status, status_lines
@@ -56,3 +60,28 @@ def test_a_driver_of_another_user(
     channel.touch()
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may write everything
     assert "only root and the user" in thorvaldc("status", "--root", str(root)).out
+
+
+def test_a_fault_with_its_page(
+    root: Path, thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    thorvaldc("install", "good.yaml", "--root", str(root))
+    (root / "run/thorvaldc/good").mkdir(parents=True)
+    with tempfile.TemporaryDirectory(prefix="tv") as folder:  # the path of a socket is short
+        Path(folder, "r").symlink_to(root)
+        monkeypatch.chdir(folder)
+        site = Site(compiled(CIA402), f"{folder}/r/run/thorvaldc/good/control")
+
+        device = site.simulated.devices["fl_controller"]
+        site.simulated.timeline.after(12_000_000_000, device.power_off)
+
+        def look(site: Site) -> tuple[list[str], dict[str, Any], Any]:
+            site.until(lambda: bool(site.state()["fault"]))
+            status = robot_status(Computer(Path("r")), "good", is_live=False)
+            return status_lines(status), status["driver"], site.request("GET", "/state").json
+
+        lines, driver, shown = site.while_it_runs(look, drives=False)
+    fault = next(line for line in lines if line.startswith("  FAULT: "))
+    assert "no tpdo1 for" in fault
+    assert fault.endswith("(TV880 bus-stopped, see `thorvaldc explain TV880`)")
+    assert driver["fault_code"] == shown["code"] == "TV880"

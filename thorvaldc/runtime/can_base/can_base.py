@@ -39,7 +39,7 @@ from typing import Any, Final
 
 from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.can.frame import CanFrame, CanInterface
-from thorvaldc.diagnostics import DiagnosticError
+from thorvaldc.diagnostics import CODES, Code, DiagnosticError
 from thorvaldc.diagnostics.files import finite
 from thorvaldc.model import Robot
 from thorvaldc.model.settings import AT_START
@@ -156,6 +156,19 @@ class CanBase(base_interface.BaseHandle):
     @property
     def state(self) -> base_state_machine.BaseState:
         return self.state_machine.state
+
+    @property
+    def fault_code(self) -> Code | None:
+        """Diagnostic code of the state FAULT or ESTOP, ``None`` in other states."""
+        state_machine = self.state_machine
+        if state_machine.state not in (
+            base_state_machine.BaseState.FAULT,
+            base_state_machine.BaseState.ESTOP,
+        ):
+            return None
+        if state_machine.mismatch:
+            return CODES["bus-mismatch"]
+        return CODES["bus-stopped" if state_machine.was_started else "bus-start"]
 
     @property
     def standing(self) -> bool:
@@ -352,6 +365,7 @@ class CanBase(base_interface.BaseHandle):
         return {
             "supervisor": self.state_machine.state.value,
             "fault": self.state_machine.reason,
+            "fault_code": code.number if (code := self.fault_code) is not None else "",
             "batteries": {name: finite(b.source) for name, b in self.batteries().items()},
             "supply": None if (supply := self.supply()) is None else finite(supply.source),
             "outputs": {board.node.name: dict(board.outputs) for board in self.nodes.boards},

@@ -15,6 +15,7 @@ from thorvaldc.cli.robot_file import read_robot_file
 from thorvaldc.diagnostics import OutsideError
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import model_hash
+from thorvaldc.runtime.state_text import state_rows
 from thorvaldc.tools.computer.installed_versions import Computer
 
 _PROPERTIES = ("ActiveState", "SubState", "ActiveEnterTimestamp", "NRestarts", "Result")
@@ -139,22 +140,7 @@ def status_lines(status: dict[str, Any]) -> list[str]:
     lines += _clock_lines(status["clock"])
     if driver is None:
         return [*lines, f"  {status['driver_error']}"]
-    state = "armed" if driver["armed"] else f"not armed: {driver['held'] or 'no reason'}"
-    lines.append(f"  driver {driver['mode']}, {state}, drives: {driver['source'] or 'nobody'}")
-    lines += [f"  FAULT {driver['fault']}"] if driver["fault"] else []
-    lines += [f"  locked by {', '.join(driver['locks'])}"] if driver["locks"] else []
-    lines += [f"  warning: {text}" for text in driver["warnings"]]
-    lines += [
-        f"  bus {bus}: at most {100.0 * load:.0f} % of its bit rate in use"
-        for bus, load in driver.get("bus_load", {}).items()
-        if load is not None
-    ]
-    lines += [
-        f"  {battery}: {100.0 * values['charge']:.0f} %"
-        for battery, values in driver.get("batteries", {}).items()
-        if values.get("charge") is not None
-    ]
-    return lines
+    return [*lines, *(f"  {label}: {text}" for label, text in state_rows(driver))]
 
 
 def _clock_lines(clock: dict[str, Any]) -> Iterator[str]:

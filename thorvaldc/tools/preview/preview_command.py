@@ -15,8 +15,6 @@ from thorvaldc.cli.exits import DONE, OutsideError
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.installation import install_command
 
-MAX_PORT = 65535
-
 
 def preview(
     file: options.ModelFile,
@@ -32,11 +30,7 @@ def preview(
 ) -> int:
     from thorvaldc.compiler.source.reader import read_file
 
-    number = int(port) if port.isascii() and port.isdigit() else -1
-    if not 0 <= number <= MAX_PORT:
-        raise typer.BadParameter(
-            f"expected a port from 0 to {MAX_PORT}, got {port!r}", param_hint="'--port'"
-        )
+    number = options.parse_port(port, "--port")
     if not Path(file).is_file():
         report = Report()
         read_file(Path(file), file, report)
@@ -44,7 +38,7 @@ def preview(
     folders = options.library_folders(library)
     try:
         from thorvaldc.tools.preview.compiled_robot import CompiledRobot
-        from thorvaldc.tools.preview.preview_server import HOST, PreviewServer
+        from thorvaldc.tools.preview.preview_server import PreviewServer
     except ImportError as error:
         if error.name is None or error.name.split(".")[0] not in ("aiohttp", "watchfiles"):
             raise
@@ -59,11 +53,5 @@ def preview(
         if not no_browser:
             webbrowser.open(server.url)
 
-    try:
-        asyncio.run(server.run(number, started))
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise OutsideError(
-            f"port {number} of {HOST} cannot be used: {reason}; --port names another one"
-        ) from None
+    asyncio.run(server.run(number, started))
     return DONE

@@ -10,7 +10,6 @@ import contextlib
 import json
 import secrets
 import signal
-import socket
 import threading
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -20,10 +19,10 @@ from watchfiles import awatch
 
 from thorvaldc.diagnostics.files import read_json
 from thorvaldc.model.plugins import data_folder
+from thorvaldc.runtime.loopback import HEADERS, HOST, listen, refusal
 from thorvaldc.tools.preview.compiled_robot import CompiledRobot, robot_page
 from thorvaldc.tools.preview.page_drive import PageDrive
 
-HOST = "127.0.0.1"
 DEBOUNCE = 10
 """Time in ms for which changes of files are collected."""
 CHECK_PERIOD = 1000
@@ -32,15 +31,6 @@ DRAW_TIME = 0.5
 """Longest time in s that the facts wait for the picture.  A hidden page draws none."""
 MAX_MESSAGE = 4096
 """Largest message in bytes from a page."""
-HEADERS = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline';"
-    " style-src 'unsafe-inline'; connect-src 'self'; frame-ancestors 'none'; base-uri 'none';"
-    " form-action 'none'",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-}
 
 
 class _Client:
@@ -92,9 +82,9 @@ class PreviewServer:
     async def run(self, port: int, started: Callable[[], None]) -> None:
         """Serves the page until the process is interrupted.
 
-        ``port`` is the TCP port, or 0 for any free one.  Raises ``OSError`` if the port is in use.
+        ``port`` is the TCP port, or 0 for any free one.  Raises ``OutsideError`` if it is in use.
         """
-        listener = socket.create_server((HOST, port))
+        listener = listen(port, "--port")
         self.port = listener.getsockname()[1]
         application = web.Application(middlewares=[self._guard])
         application.router.add_get(f"/{self.token}/", self._show_page)
@@ -134,12 +124,9 @@ class PreviewServer:
         handler: Callable[[web.Request], Awaitable[web.StreamResponse]],
     ) -> web.StreamResponse:
         """Refuses other hosts and origins, so that no page of the internet reaches the server."""
-        hosts = {f"{name}:{self.port}" for name in (HOST, "localhost")}
-        origin = request.headers.get("Origin")
-        if request.headers.get("Host") not in hosts:
-            raise web.HTTPForbidden(text="the host is not this computer")
-        if origin is not None and origin.removeprefix("http://") not in hosts:
-            raise web.HTTPForbidden(text="the page comes from another server")
+        headers = request.headers
+        if reason := refusal(headers.get("Host"), headers.get("Origin"), self.port):
+            raise web.HTTPForbidden(text=reason)
         first = request.path.removeprefix("/").split("/", 1)[0]
         if not secrets.compare_digest(first.encode(), self.token.encode()):
             raise web.HTTPForbidden(
