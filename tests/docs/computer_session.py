@@ -14,12 +14,12 @@ PAGE = FOLDER / "tutorial/computer.md"
 
 
 def session(record: dict[str, Any]) -> None:
-    folder = Path("/root/scout")
+    folder = Path.home() / "scout"
     folder.mkdir()
     # A group of udev, which a container does not have.
     subprocess.run(["groupadd", "--system", "--force", "input"], check=True)
     path = f"/opt/thorvaldc-env/bin{os.pathsep}{os.environ['PATH']}"
-    environment = {"HOME": "/root", "LANG": "C.UTF-8", "PATH": path}
+    environment = {"HOME": str(Path.home()), "LANG": "C.UTF-8", "PATH": path}
     reader = Reader(folder, environment, is_in_container=True)
     record["differences"] = reader.follow(PAGE.read_text(encoding="utf-8"))
 

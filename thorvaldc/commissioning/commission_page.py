@@ -7,6 +7,7 @@ from pathlib import Path
 
 from thorvaldc.commissioning import commission_report
 from thorvaldc.commissioning.commission_report import CheckedMotor, CommissionReport, FoundNode
+from thorvaldc.commissioning.scan_result import numbers_text
 from thorvaldc.diagnostics.files import write_file
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.fact_page import escape, page, table_html
@@ -66,16 +67,10 @@ def _motor(number: int, motor: CheckedMotor) -> FactTable:
 
 
 def _identity(node: FoundNode) -> str:
-    numbers = {
-        "id": node.id,
-        "vendor": node.vendor,
-        "product": node.product,
-        "revision": node.revision,
-        "serial": node.serial,
-    }
-    known = [f"{name} {number:#x}" for name, number in numbers.items() if number is not None]
-    unknown = ["serial number unknown"] if node.serial is None else []
-    return ", ".join([node.state, *known, *unknown])
+    place = "" if node.id is None else f"id {node.id:#x}"
+    numbers = numbers_text(node.vendor, node.product, node.revision, node.serial)
+    unknown = "serial number unknown" if node.serial is None else ""
+    return ", ".join(filter(None, (node.state, place, numbers, unknown)))
 
 
 def _picture(robot: Robot, report: CommissionReport) -> str:

@@ -147,8 +147,13 @@ def identity_text(identity: Identity | None) -> str:
     if identity is None:
         return "a device of unknown identity"
     vendor, product, revision, serial = identity
-    text = f"vendor {vendor:#x}, product {product:#x}, revision {revision:#x}"
-    return f"{text}, serial {serial:#x}" if serial else text
+    return numbers_text(vendor, product, revision, serial or None)
+
+
+def numbers_text(*numbers: int | None) -> str:
+    """Returns the known numbers of an identity as text, in the order of ``Identity``."""
+    named = zip(Identity._fields, numbers, strict=True)
+    return ", ".join(f"{name} {number:#x}" for name, number in named if number is not None)
 
 
 def scan_table(scan: ScanResult, width: int | None = None) -> str:

@@ -6,6 +6,7 @@ a name of the internet points to this computer (DNS rebinding), ``Host`` shows t
 
 from __future__ import annotations
 
+import os
 import socket
 
 from thorvaldc.diagnostics import OutsideError
@@ -41,7 +42,8 @@ def listen(port: int, option: str) -> socket.socket:
     try:
         return socket.create_server((HOST, port))
     except OSError as error:
-        reason = error.strerror or str(error)
+        # The text of Python's error repeats the address.
+        reason = os.strerror(error.errno) if error.errno else str(error)
         raise OutsideError(
             f"port {port} of {HOST} cannot be used: {reason}; {option} names another one"
         ) from None

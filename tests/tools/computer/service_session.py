@@ -126,7 +126,7 @@ def driver() -> int:
 
 
 def session(record: dict[str, Any]) -> None:
-    os.chdir("/root")
+    os.chdir(Path.home())
     Path("good.yaml").write_text(GOOD, encoding="utf-8")
     robot = compile_file(Path("good.yaml")).model
     assert isinstance(robot, Robot)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,8 @@ from tests.runtime.can_base.simulated_rig import Rig
 from tests.runtime.test_status_page import Site
 from tests.simulation.bus.robots import CIA402, compiled
 from tests.tools.computer.conftest import Programs
+from thorvaldc.runtime.control_channel import ControlServer
+from thorvaldc.runtime.service_table import Services
 from thorvaldc.tools.computer.installed_versions import Computer
 from thorvaldc.tools.computer.robot_status import robot_status, status_lines
 
@@ -60,6 +64,34 @@ def test_a_driver_of_another_user(
     channel.touch()
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may write everything
     assert "only root and the user" in thorvaldc("status", "--root", str(root)).out
+
+
+def test_a_driver_of_another_version(
+    root: Path, thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    thorvaldc("install", "good.yaml", "--root", str(root))
+    (root / "run/thorvaldc/good").mkdir(parents=True)
+    with tempfile.TemporaryDirectory(prefix="tv") as folder:  # the path of a socket is short
+        Path(folder, "r").symlink_to(root)
+        monkeypatch.chdir(folder)
+        server = ControlServer(f"{folder}/r/run/thorvaldc/good/control", Services([]))
+        ended = threading.Event()
+
+        def serve() -> None:
+            while not ended.wait(0.01):
+                server.poll(time.monotonic())
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            status = robot_status(Computer(Path("r")), "good", is_live=False)
+        finally:
+            ended.set()
+            thread.join()
+            server.close()
+    assert status["driver"] is None
+    assert "is thorvaldc older than" in status_lines(status)[-1]
+    assert "restart the service" in status_lines(status)[-1]
 
 
 def test_a_fault_with_its_page(

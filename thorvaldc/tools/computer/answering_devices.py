@@ -19,6 +19,7 @@ from thorvaldc.commissioning.scan_result import (
     ScanEntry,
     ScanResult,
     identity_text,
+    numbers_text,
 )
 from thorvaldc.commissioning.scanner import scan_bus
 from thorvaldc.diagnostics import CODES, Diagnostic, DiagnosticError, Report, Span
@@ -113,20 +114,8 @@ def _stranger(
         return _error(f"{device}; the robot file does not name it", span, hint)
     if entry.identity is not None and entry.identity.serial:
         hint += f'; if `{stated.name}` was replaced, write `serial: "{entry.identity.serial:#x}"`'
-    return _error(
-        f"{device}; in the file, `{stated.name}` is {_stated_identity(stated)}", span, hint
-    )
-
-
-def _stated_identity(node: NodeConfiguration) -> str:
-    """Returns the numbers of an identity that the robot file states."""
-    numbers = {
-        "vendor": node.vendor,
-        "product": node.product,
-        "revision": node.revision,
-        "serial": node.serial,
-    }
-    return ", ".join(f"{name} {n:#x}" for name, n in numbers.items() if n is not None)
+    numbers = numbers_text(stated.vendor, stated.product, stated.revision, stated.serial)
+    return _error(f"{device}; in the file, `{stated.name}` is {numbers}", span, hint)
 
 
 def _error(text: str, span: Span, hint: str) -> Diagnostic:

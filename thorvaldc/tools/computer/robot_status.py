@@ -101,6 +101,8 @@ def _driver(channel: str) -> tuple[dict[str, Any] | None, str]:
 
     try:
         with contextlib.closing(ControlClient(channel)) as client:
+            if difference := client.other_version():  # its state may have other keys
+                return None, f"{difference}, then restart the service"
             return client.call("state"), ""
     except (OSError, ServiceError):
         if Path(channel).exists() and not os.access(channel, os.W_OK):
