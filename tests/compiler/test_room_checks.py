@@ -43,7 +43,13 @@ mount: {kinds: [frame_clamp], link: post}
 links:
   post: {parts: [{shape: {box: [0.03, 0.03, 0.5]}, mass: 1 kg, source: "chosen: a test"}]}
 """
-CODES = ("parts-overlap", "part-loose", "part-below-ground", "wheels-overlap")
+CODES = (
+    "parts-overlap",
+    "part-loose",
+    "part-below-ground",
+    "wheels-overlap",
+    "sensor-upside-down",
+)
 
 
 def room(folder: Path, text: str) -> list[tuple[str, int, str, str]]:
@@ -109,6 +115,13 @@ ADDED = {
         "part-loose",
         "the nearest part is 2",
         "to the right",
+    ),
+    "a lidar upside down": (
+        "laser: {type: sensor/lidar_2d, mount: {parent: frame, xyz: [0.426, 0, 0.04], "
+        "rpy: [180 deg, 0, 0]}}",
+        "sensor-upside-down",
+        "the z axis of `laser_laser` points downwards",
+        "turn its mount over",
     ),
     "a drive off its port": (
         "ml: {type: assembly/steered_drive, mount: {port: frame.mid_left, xyz: [0, 0.6, 0]}}",

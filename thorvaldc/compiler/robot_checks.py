@@ -16,7 +16,7 @@ from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.compiler.room_checks import check_room
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, millimetres, plain
-from thorvaldc.model import Joint, Robot, Vec3, Wheel
+from thorvaldc.model import Joint, Pose, Robot, Vec3, Wheel
 from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.model.statics import mobility
 from thorvaldc.model.statics.joint_tree import OF_EXTRA, tree_of
@@ -29,6 +29,8 @@ from thorvaldc.model.sums import float_sum
 # Largest gap (m) between a wheel and the ground that suspensions and tyres compensate.
 WHEEL_OFF_GROUND = 2e-3
 
+UPRIGHT = ("lidar_2d", "lidar_3d", "gnss")
+"""Types of sensors whose z axis points upwards; that of a camera is the direction of its view."""
 SMALLEST_SIZE, LARGEST_SIZE = 0.1, 20.0
 """Extents (m) of the smallest and the largest robot that is not reported."""
 
@@ -49,6 +51,24 @@ def check_robot(robot: Robot, design: DesignRequirements, report: Report) -> Non
         if not report.has_errors:  # wrong masses, wheels or a wrong slope cause false warnings
             check_standing(robot, design, report)
     check_room(robot, report)
+    check_sensors(robot, report)
+
+
+def check_sensors(robot: Robot, report: Report) -> None:
+    """Reports each lidar or antenna whose z axis points downwards in the drawn pose.
+
+    A lidar that hangs measures angles in the other direction, an antenna for GNSS receives nothing.
+    """
+    pose = tree_of(robot).pose
+    for sensor in robot.sensors:
+        if sensor.type in UPRIGHT and sensor.link in pose and _points_down(pose[sensor.link]):
+            report.add(
+                "sensor-upside-down",
+                f"the sensor `{sensor.name}` is upside down: the z axis of `{sensor.link}` points "
+                "downwards",
+                sensor.span,
+                hint="turn its mount over (`rpy`), or accept the warning for a sensor that hangs",
+            )
 
 
 def check_size(robot: Robot, report: Report) -> None:
@@ -119,7 +139,11 @@ def _is_upside_down(wheel: Wheel, robot: Robot) -> bool:
     """
     name, pose = wheel.module.partition(".")[0], tree_of(robot).pose
     root = next(link.name for link in robot.links if link.module.partition(".")[0] == name)
-    return root in pose and pose[root].rotate((0.0, 0.0, 1.0))[2] < -0.5
+    return root in pose and _points_down(pose[root])
+
+
+def _points_down(pose: Pose) -> bool:
+    return pose.rotate((0.0, 0.0, 1.0))[2] < -0.5
 
 
 def check_stability(robot: Robot, design: DesignRequirements, report: Report) -> None:

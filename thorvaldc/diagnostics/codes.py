@@ -142,6 +142,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV329", "coupling-joint-unknown", "a coupling names a joint that does not exist"),
     _error("TV330", "unit-design", "the design of a unit is missing, no robot, or in a circle"),
     _warning("TV331", "unit-unchanged", "a unit states a value that its design has"),
+    _warning("TV332", "side-by-default", "modules on both sides have one side by default"),
     _error("TV340", "calibration-missing", "a robot names a calibration file that does not exist"),
     _error("TV341", "calibration-wheel", "a calibration names a wheel that does not exist"),
     _warning("TV342", "calibration-robot", "a calibration names another robot"),
@@ -202,6 +203,7 @@ _TABLE: tuple[Code, ...] = (
     _warning(
         "TV449", "steering-axis-leans", "a steering axis is less vertical than odometry needs"
     ),
+    _warning("TV450", "sensor-upside-down", "a sensor is mounted upside down"),
     # 5xx: CAN bus
     _error("TV501", "can-id-duplicate", "two devices of one id space use the same id on a bus"),
     _error("TV502", "can-id-range", "an id is outside the range of the device"),

@@ -225,6 +225,40 @@ class Mounting:
                 hint=hint,
             )
 
+    def check_sides(self, robot: module_tree.Instance) -> None:
+        """Reports modules on ports at the left and at the right of a module that take the same side
+        by default, because the ports suggest none."""
+        sides: dict[tuple[str, int, str], list[tuple[module_tree.Instance, module_tree.Mount]]] = {}
+        for child in robot.children.values():
+            leaves = list(child.leaves())
+            mounts = (leaf.mount for leaf in leaves)
+            mount = next((m for m in mounts if m is not None and m.leaf not in leaves), None)
+            if child.type is None or mount is None or mount.is_free:
+                continue
+            for name, declaration in child.type.section("params").items():
+                choices = [node.value for node in items(declaration.get("choices"))]
+                if {"left", "right"} <= set(choices) and name not in child.scope.arguments:
+                    key = (child.type.name, id(mount.leaf), name)
+                    sides.setdefault(key, []).append((child, mount))
+        for (_, _, name), mounted in sides.items():
+            left, right = (
+                [(child, mount) for child, mount in mounted if mount.pose.xyz[1] * sign > 0]
+                for sign in (1.0, -1.0)
+            )
+            if left and right:
+                (first, mount), (other, _) = left[0], right[0]
+                carrier = mount.leaf
+                self.report.add(
+                    "side-by-default",
+                    f"`{first.path}` at the left and `{other.path}` at the right have the same "
+                    f"`{name}` by default: {first.scope[name]}",
+                    mount.span,
+                    labels=[Label(other.span, f"`{other.path}` is here")],
+                    hint=f"state `{name}` in their `params`, or let the ports of "
+                    f"`{carrier.type.name if carrier.type else carrier.path}` suggest it: "
+                    f"`suggests: {{{name}: ..}}`",
+                )
+
     def _free_ports(
         self,
         mounted: module_tree.Instance,

@@ -56,6 +56,7 @@ class Resolver:
         self._check_devices(robot)
         self._mounting.check_no_cycle(robot)
         self._mounting.check_places(robot)
+        self._mounting.check_sides(robot)
         return robot
 
     def expand(self, parent: Instance, name: str, entry: Node) -> None:
