@@ -362,3 +362,22 @@ def test_the_command_writes_a_new_folder(tmp_path: Path, monkeypatch: pytest.Mon
     assert run(str(path), "-o", str(out)) == 0
     assert compiled(out / "robot.yaml")[0].name == "cart"
     assert run(str(path), "-o", str(out)) == 3
+
+
+def test_arguments_of_a_xacro_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = differential().replace('radius="0.12"', 'radius="$(arg radius)"')
+    (tmp_path / "cart.xacro").write_text(text)
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words: str) -> int:
+        monkeypatch.setattr("sys.argv", ["thorvaldc", "import", "cart.xacro", *words])
+        return run_command()
+
+    assert run("-o", "cart") == 1
+    assert "`thorvaldc import cart.xacro radius:=VALUE -o FOLDER`" in capsys.readouterr().err
+    assert run("radius:=0.12", "radus:=0.13", "-o", "cart") == 0
+    assert "the file does not use the argument `radus`" in capsys.readouterr().err
+    assert {w.radius for w in compiled(tmp_path / "cart" / "robot.yaml")[0].wheels} >= {0.12}
+    assert run("a.yaml", "b.yaml", "-o", "new") == 2

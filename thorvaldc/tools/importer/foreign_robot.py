@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -34,6 +34,7 @@ from thorvaldc.diagnostics.files import read_bounded
 from thorvaldc.model import Mesh
 
 MAX_PARAMETER_BYTES = 1_000_000
+_HINTS = {"argument": "state it after the file: `thorvaldc import {file} {name}:=VALUE -o FOLDER`"}
 _EXPAND = "expand it first: `xacro FILE name:=value > robot.urdf`, beside its ROS packages"
 
 
@@ -59,8 +60,16 @@ class ForeignRobot:
     controller_types: dict[str, Span] = field(default_factory=dict)
 
 
-def read_robot(path: Path, controllers: Path | None, report: Report) -> ForeignRobot:
-    """Returns the robot in a URDF or xacro file; what cannot be read is reported."""
+def read_robot(
+    path: Path,
+    controllers: Path | None,
+    report: Report,
+    arguments: Mapping[str, str] | None = None,
+) -> ForeignRobot:
+    """Returns the robot in a URDF or xacro file; what cannot be read is reported.
+
+    ``arguments``: values of the arguments of a xacro file, by name.
+    """
     name = path.name.split(".")[0]
     robot = ForeignRobot(
         FileDescription(format="URDF", name=name, file=str(path), path=path.absolute()),
@@ -69,7 +78,8 @@ def read_robot(path: Path, controllers: Path | None, report: Report) -> ForeignR
     if not path.is_file():
         report.add("file-not-found", f"`{path}` does not exist", Span(str(path)))
         return robot
-    request = xacro_expand.ExpansionRequest(path.absolute(), {}, {}, source_layout=True)
+    values = dict(arguments or {})
+    request = xacro_expand.ExpansionRequest(path.absolute(), values, {}, source_layout=True)
     folder = "" if str(path.parent) == "." else str(path.parent)
     shown = xacro_expand.DisplayPaths(path.absolute().parent, folder, {})
     expanded = xacro_expand.expand([request], shown)[0]
@@ -79,8 +89,18 @@ def read_robot(path: Path, controllers: Path | None, report: Report) -> ForeignR
         code, message, _ = FAILURES[failure.kind]
         labels = [Label(span, text) for span, text in failure.trail]
         span = failure.span or Span(str(path))
-        report.add(code, message.format(text=failure.text), span, hint=_EXPAND, labels=labels)
+        hint = _HINTS.get(failure.kind, _EXPAND).format(file=path, name=failure.text)
+        report.add(code, message.format(text=failure.text), span, hint=hint, labels=labels)
         return robot
+    for name in expanded.unused_arguments:
+        known = expanded.known_arguments
+        report.add(
+            "extra-argument-unused",
+            f"the file does not use the argument `{name}`",
+            Span(str(path)),
+            hint=did_you_mean(name, [each for each in known if each not in values], fixable=False)
+            or "its arguments are " + (", ".join(f"`{each}`" for each in known) or "none"),
+        )
     search = xacro_expand.search_paths()
     readable = xacro_expand.readable_folders([request], path.absolute().parent, search)
     loader = MeshLoader(expanded.packages, expanded.paths, readable, report)

@@ -21,12 +21,14 @@ def import_file(
             help="A configuration file of the original Thorvald system, or a URDF or xacro file.",
         ),
     ],
-    controllers: Annotated[
-        str,
+    more: Annotated[
+        list[str],
         typer.Argument(
-            metavar="[CONTROLLERS]", help="ROS parameter file of the controllers of a URDF."
+            metavar="CONTROLLERS|NAME:=VALUE",
+            help="ROS parameter file of the controllers of a URDF, and arguments of a xacro file.",
+            show_default=False,
         ),
-    ] = "",
+    ] = [],  # noqa: B006
     output: Annotated[
         str,
         typer.Option(
@@ -38,10 +40,14 @@ def import_file(
         ),
     ] = "",
 ) -> int:
+    arguments = dict(word.split(":=", 1) for word in more if ":=" in word)
+    controllers = [Path(word) for word in more if ":=" not in word]
+    if len(controllers) > 1:
+        raise typer.BadParameter(f"one file states the controllers, not `{controllers[1]}` too")
     if Path(file).suffix.lower() in _DESCRIPTIONS:
-        return _import_urdf(Path(file), Path(controllers) if controllers else None, output)
-    if controllers:
-        raise typer.BadParameter("only a URDF or xacro file has controllers")
+        return _import_urdf(Path(file), controllers[0] if controllers else None, arguments, output)
+    if more:
+        raise typer.BadParameter("only a URDF or xacro file has controllers and arguments")
     from thorvaldc.tools.importer.original_import import import_original as convert
 
     result = convert(Path(file))
@@ -54,7 +60,9 @@ def import_file(
     return status
 
 
-def _import_urdf(file: Path, controllers: Path | None, output: str) -> int:
+def _import_urdf(
+    file: Path, controllers: Path | None, arguments: dict[str, str], output: str
+) -> int:
     from thorvaldc.tools.importer.urdf_import import import_urdf, write_files
 
     if not output:
@@ -62,7 +70,7 @@ def _import_urdf(file: Path, controllers: Path | None, output: str) -> int:
     folder = Path(output)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise OutsideError(f"will not write into {folder}: it exists; name another folder")
-    imported = import_urdf(file, controllers)
+    imported = import_urdf(file, controllers, arguments)
     status = show_report(imported.report, imported.sources)
     if status == INPUT or not imported.files:
         return status

@@ -63,10 +63,15 @@ class UrdfImport:
     links: dict[str, str] = field(default_factory=dict)
 
 
-def import_urdf(path: Path, controllers: Path | None = None) -> UrdfImport:
-    """Converts a file; mesh files among the result are paths to copy."""
+def import_urdf(
+    path: Path, controllers: Path | None = None, arguments: Mapping[str, str] | None = None
+) -> UrdfImport:
+    """Converts a file; mesh files among the result are paths to copy.
+
+    ``arguments``: values of the arguments of a xacro file, by name.
+    """
     report = Report()
-    robot = read_robot(path, controllers, report)
+    robot = read_robot(path, controllers, report, arguments)
     result = UrdfImport(report, robot.sources)
     if report.has_errors:
         return result
