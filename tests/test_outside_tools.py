@@ -83,6 +83,7 @@ def test_a_test_with_the_environment_is_skipped(path):
 """
 
 
+@pytest.mark.slow
 def test_the_mode_without_tools_hides_all_of_them(tmp_path: Path) -> None:
     """In a test run of its own, with CI: there a missing tool is no error."""
     root = Path(__file__).parents[1]

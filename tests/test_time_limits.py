@@ -25,6 +25,7 @@ def test_that_waits_for_ever():
 """
 
 
+@pytest.mark.slow
 def test_a_test_that_hangs_fails_and_the_next_runs(tmp_path: Path) -> None:
     pytest.importorskip("pytest_timeout")
     (tmp_path / "test_hanging.py").write_text(HANGING)

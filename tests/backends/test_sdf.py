@@ -41,6 +41,7 @@ def has_mimics(robot: Robot) -> bool:
     return any(joint.mimic is not None for joint in robot.joints)
 
 
+@pytest.mark.slow
 def test_drake_reads_the_robot_of_the_urdf(tmp_path: Path) -> None:
     """Masses, inertias, axes, poses at random joint positions, and limits; every robot floats."""
     jobs = []
@@ -207,6 +208,7 @@ def test_a_slope_inclines_gravity_and_rough_ground_is_a_mesh() -> None:
     assert (min(zs), max(zs)) == pytest.approx((-0.015, 0.015), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_world_without_robots_has_all_else() -> None:
     fleet = scenario_fleet("field_edge")
     robots = [placement.robot for placement in fleet.placements]

@@ -175,6 +175,7 @@ def every_robot() -> dict[str, Robot]:
     return robots
 
 
+@pytest.mark.slow
 def test_libsdformat_reads_the_same_robot_from_urdf_and_sdf(tmp_path: Path, ign: str) -> None:
     jobs = []
     for name, robot in every_robot().items():
@@ -196,6 +197,7 @@ def test_libsdformat_reads_the_same_robot_from_urdf_and_sdf(tmp_path: Path, ign:
 # -- worlds -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_robot_of_a_world_floats_at_its_place(tmp_path: Path) -> None:
     """In Drake the SDF world, in MuJoCo the scene: no robot is fixed to the ground."""
     jobs = []
@@ -268,6 +270,7 @@ def heading(quat: Any) -> float:
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
+@pytest.mark.slow
 def test_drake_and_mujoco_drive_as_computed(tmp_path: Path) -> None:
     """Drake drives the SDF and MuJoCo the MJCF through the same motions: both agree with the
     closed form to 0.5 %."""
@@ -290,6 +293,7 @@ def test_drake_and_mujoco_drive_as_computed(tmp_path: Path) -> None:
         assert motion["height"] == pytest.approx(0.0, abs=0.005), name
 
 
+@pytest.mark.slow
 def test_spheres_roll_as_computed_in_the_engine_of_gazebo(tmp_path: Path) -> None:
     """On the tyres of the SDF, a robot turns on the spot as computed; on cylinders it does not."""
     robot = example_robot("4wd4ws_wide")

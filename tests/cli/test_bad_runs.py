@@ -122,6 +122,7 @@ def test_a_full_disk_is_reported_with_the_name_of_the_file(
     assert not list(Path().glob(".*"))
 
 
+@pytest.mark.slow
 def test_a_robot_that_tips_over_is_reported_and_recorded(thorvaldc: Command) -> None:
     path = scenario(TALL, 40, "slope, angle: 58 deg, direction: 90 deg", 4.5)
     result = thorvaldc("scenario", path, "--record", "r.csv", "--junit", "j.xml", "--plot", "p.png")
@@ -154,6 +155,7 @@ CTRL_C = (signal.SIGINT, 130, "interrupted\n")
 KILL = (signal.SIGTERM, 143, "terminated\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("record", "end"),
     [
@@ -197,6 +199,7 @@ def _written() -> int:
     return sum(p.stat().st_size for name in names for p in Path().rglob(name) if p.is_file())
 
 
+@pytest.mark.slow
 def test_the_progress_of_a_video_is_shown(tmp_path: Path, thorvaldc: Command) -> None:
     require("OpenGL")
     scenario()

@@ -66,6 +66,7 @@ def end(process: subprocess.Popen[str], number: int = signal.SIGINT) -> str:
     return err
 
 
+@pytest.mark.slow
 def test_canopen_attaches_and_ctrl_c_ends_it_cleanly(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -102,6 +103,7 @@ def test_canopen_attaches_and_ctrl_c_ends_it_cleanly(
         end(process, signal.SIGTERM)
 
 
+@pytest.mark.slow
 def test_delivered_controllers_have_labels_that_they_keep(tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text(CIA402, encoding="utf-8")

@@ -47,6 +47,7 @@ def robot(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
     return path
 
 
+@pytest.mark.slow
 def test_from_new_drives_to_a_verified_robot_and_back(thorvaldc: Command, robot: Path) -> None:
     scan = thorvaldc("can", "scan", *NEW, "--active")
     assert scan.status == 1
@@ -114,6 +115,7 @@ def test_passive_scan(thorvaldc: Command, robot: Path) -> None:
     assert {node["verdict"] for node in nodes} == {"ok"}
 
 
+@pytest.mark.slow
 def test_a_passive_scan_sends_no_frame_and_reports_what_it_hears(
     thorvaldc: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

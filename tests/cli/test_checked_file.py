@@ -64,6 +64,7 @@ def test_processes_find_what_one_process_finds(
         assert "nowhere.yaml" in processes.out
 
 
+@pytest.mark.slow
 def test_the_processes_of_a_command_find_it_too(
     thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

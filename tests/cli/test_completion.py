@@ -88,6 +88,7 @@ def test_bash_completes_the_values_of_options_and_arguments(shell: Path) -> None
     assert bash("thorvaldc", "modules", "show", "drive/st") == ["drive/standard"]
 
 
+@pytest.mark.slow
 @needs_tools
 def test_each_kind_of_value_is_completed(
     thorvaldc: Command, monkeypatch: pytest.MonkeyPatch

@@ -43,6 +43,7 @@ def workshop(bus: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path
     return folder
 
 
+@pytest.mark.slow
 def test_the_file_of_a_robot_after_a_repair(thorvaldc: Command, workshop: Path) -> None:
     result = thorvaldc("can", "identify", str(workshop), "--bus", "sim:shed")
     assert result.status == 1
@@ -67,6 +68,7 @@ def test_the_file_of_a_robot_after_a_repair(thorvaldc: Command, workshop: Path) 
     assert second["robot"] == "beta"
 
 
+@pytest.mark.slow
 def test_a_model_of_a_build_is_the_same_robot(thorvaldc: Command, workshop: Path) -> None:
     folder = workshop / "alpha"
     output = str(folder / "build")

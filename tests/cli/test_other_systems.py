@@ -92,6 +92,7 @@ def test_the_modules_are_missing(variables: dict[str, str], tmp_path: Path) -> N
     assert done.stderr.endswith("No module named 'fcntl'\n")
 
 
+@pytest.mark.slow
 @needs_tools
 def test_a_designer_works_on_other_systems(variables: dict[str, str]) -> None:
     robot = "scout/robot.yaml"
@@ -117,6 +118,7 @@ def test_a_designer_works_on_other_systems(variables: dict[str, str]) -> None:
     assert Path("built/urdf/robot.urdf").is_file()
 
 
+@pytest.mark.slow
 @needs_tools
 def test_the_preview_and_the_language_server_on_other_systems(
     call: Callable[..., CompletedProcess[str]], variables: dict[str, str]

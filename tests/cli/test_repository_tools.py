@@ -56,6 +56,7 @@ def run(
     )
 
 
+@pytest.mark.slow
 def test_the_hooks_run_in_a_repository(tmp_path: Path, environment: dict[str, str]) -> None:
     """With the programs of this checkout in place of a new environment, which needs a network."""
     git, folder = path_of("git"), tmp_path / "robots"
@@ -100,6 +101,7 @@ def run_step(folder: Path, environment: dict[str, str], **inputs: str) -> Any:
     return run(folder, {**environment, **inputs}, *command)
 
 
+@pytest.mark.slow
 def test_the_step_of_the_action_annotates(tmp_path: Path, environment: dict[str, str]) -> None:
     folder = tmp_path / "robots"
     (folder / "a/b").mkdir(parents=True)

@@ -194,6 +194,7 @@ def test_an_empty_bus(thorvaldc: Command) -> None:
 # -- by the clock, and by signals -----------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "number",
     [pytest.param(signal.SIGTERM, marks=pytest.mark.exhaustive), signal.SIGINT],
@@ -222,6 +223,7 @@ def test_a_status_port_in_use(thorvaldc: Command) -> None:
     assert "--status-port names another one" in err
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_run_whose_page_has_a_client_that_hangs(tmp_path: Path) -> None:
     (tmp_path / "good.yaml").write_text(GOOD + SLOW)
     with tempfile.TemporaryDirectory(prefix="tv") as folder:  # a socket's path is short
@@ -244,6 +246,7 @@ def test_ctrl_c_ends_a_run_whose_page_has_a_client_that_hangs(tmp_path: Path) ->
         socket.create_connection(("127.0.0.1", port))
 
 
+@pytest.mark.slow
 @needs_tools
 def test_a_driver_and_a_caller_of_different_versions_both_say_so(
     thorvaldc: Command, monkeypatch: pytest.MonkeyPatch

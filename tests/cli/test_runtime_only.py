@@ -133,6 +133,7 @@ def test_a_model_is_installed_without_a_compiler(folder: Path, tmp_path: Path) -
     assert call(folder, "uninstall", "good", *root).returncode == 0
 
 
+@pytest.mark.slow
 def test_help_shows_the_commands_that_the_runtime_has(folder: Path) -> None:
     result = call(folder, "--help")
     assert result.returncode == 0

@@ -97,6 +97,7 @@ def test_the_suffix_selects_the_format_of_the_record(thorvaldc: Command, tmp_pat
     assert "no record is a .bag file; name a .mcap or .csv file, or a folder" in result.err
 
 
+@pytest.mark.slow
 def test_fleets_have_logs_records_and_plots_of_every_robot(
     thorvaldc: Command, tmp_path: Path
 ) -> None:

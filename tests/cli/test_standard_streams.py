@@ -68,6 +68,7 @@ def test_a_full_disk_behind_stdout_is_named(folder: Path, arguments: tuple[str, 
     assert "Traceback" not in err
 
 
+@pytest.mark.slow
 @needs_full_device
 def test_messages_that_cannot_be_written_end_no_command(folder: Path) -> None:
     arguments = ("run", "good.yaml", "--bus", "virtual", "--twist", "0.3,0,0", "--duration", "0.5")

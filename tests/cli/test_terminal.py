@@ -73,6 +73,7 @@ def test_machine_formats_have_no_colours_on_a_terminal(folder: Path) -> None:
         assert "\x1b" not in on_terminal(folder, "check", "bad.yaml", "--format", format)[1]
 
 
+@pytest.mark.slow
 @needs_tools
 def test_demo_shows_its_progress_on_a_terminal_only(folder: Path) -> None:
     status, output = on_terminal(folder, "demo", "good.yaml")
@@ -101,6 +102,7 @@ def test_a_scan_shows_its_progress_and_removes_it(folder: Path) -> None:
     assert table.startswith("verdict ")
 
 
+@pytest.mark.slow
 def test_a_run_erases_its_status_line_once_before_other_lines(folder: Path) -> None:
     options = ("--bus", "virtual", "--twist", "0.2,0,0", "--duration", "0.1 s")
     status, output = on_terminal(folder, "run", "good.yaml", *options)

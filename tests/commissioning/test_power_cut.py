@@ -202,6 +202,7 @@ def test_one_node_loses_its_power(node: str) -> None:
         check(bench, number)
 
 
+@pytest.mark.slow
 def test_the_journal_is_cut_at_any_byte() -> None:
     """The rest of the journal is read, and the resume reaches the plan."""
     hash_, first, last, _, data = undisturbed()

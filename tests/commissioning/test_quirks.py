@@ -82,6 +82,7 @@ def test_flash_verify_and_rollback(quirks: tuple[Quirk, ...], unknown: tuple[str
     assert {name: bench.state()[name][0] for name in NODES} == {n: before[n][0] for n in NODES}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "quirks", mostly_exhaustive([ALL, (Quirk.NO_INHIBIT_TIMES,)]), ids=["all", "no_inhibit"]
 )

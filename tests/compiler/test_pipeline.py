@@ -188,6 +188,7 @@ for path in sys.argv[1:]:
 """
 
 
+@pytest.mark.slow
 def test_output_does_not_depend_on_the_hash_seed(workshop: Workshop) -> None:
     mine = str(workshop.robot_file(CART))
     examples = [

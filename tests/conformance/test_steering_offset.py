@@ -120,6 +120,7 @@ def angles(rig: Rig) -> dict[str, tuple[float, float]]:
     return values
 
 
+@pytest.mark.slow
 def test_calibrated_robot_drives_straight_with_wrong_encoder_zeros(
     pair: tuple[Robot, Robot],
 ) -> None:
@@ -132,6 +133,7 @@ def test_calibrated_robot_drives_straight_with_wrong_encoder_zeros(
         assert true == pytest.approx(0.0, abs=5e-3), joint
 
 
+@pytest.mark.slow
 def test_without_calibration_the_wheels_are_off_by_the_offset(
     pair: tuple[Robot, Robot],
 ) -> None:

@@ -119,6 +119,7 @@ def test_the_plug_ins_pass_the_conformance_tests(package: Path, tests: str, leas
     assert int(passed[1]) >= least
 
 
+@pytest.mark.slow
 def test_the_module_is_in_the_robot(package: Path, outputs: dict[str, str]) -> None:
     assert "1 module" in outputs["modules check modules"]
     model = json.loads((package / "build/narrow_rover/model.json").read_text())["model"]
@@ -133,6 +134,7 @@ def test_the_backend_writes_its_file(package: Path, outputs: dict[str, str]) -> 
     assert "frame" in {row["module"] for row in rows}
 
 
+@pytest.mark.slow
 def test_the_command_is_listed_and_runs(package: Path, outputs: dict[str, str]) -> None:
     assert "  links " in thorvaldc(package, "--help").stdout
     assert "Print the number of links" in thorvaldc(package, "links", "--help").stdout

@@ -23,6 +23,7 @@ def without_numbers(cell: dict[str, Any]) -> str:
     return re.sub(r"-?\d[\d.]*", "#", json.dumps(cell.get("outputs", [])))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # of the packages of a study
 def test_the_notebook_shows_what_it_has_recorded() -> None:
     recorded = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]

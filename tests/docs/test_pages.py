@@ -162,6 +162,7 @@ def test_the_page_on_comparisons_shows_what_diff_prints(tmp_path: Path) -> None:
     check_sample(sample("docs/compare.md", "good"), printed)
 
 
+@pytest.mark.slow
 def test_the_page_on_origins_shows_what_why_prints() -> None:
     printed = printed_by(ROOT / "examples/4wd4ws_wide", "why", "robot.yaml", "wheels.fl.radius")
     check_sample(sample("docs/why.md", "wheels.fl_wheel.radius = 0.2 m"), printed)

@@ -24,6 +24,7 @@ NOT_RUN = {
 }
 
 
+@pytest.mark.slow
 def test_every_kind_of_document_is_broken() -> None:
     assert {kind.schema for kind in kinds()} >= set(KINDS)
 

@@ -189,6 +189,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return clock
 
 
+@pytest.mark.slow
 def test_a_drive_goes_on_while_another_part_is_edited(page: Page, clock: Clock) -> None:
     page.send("drive", on=True, robot="thorvald_4wd4ws_wide")
     assert page.answers["drive"] == [{"kind": "drive", "on": True, "message": "ready"}]

@@ -81,6 +81,7 @@ def end(process: ChildProcess) -> str:
     return str(err)
 
 
+@pytest.mark.slow
 def test_the_nodes_use_no_name_of_rclpy(distro: str, tmp_path: Path) -> None:
     run_client(distro, "node_names", tmp_path)
 
@@ -103,6 +104,7 @@ def test_an_error_of_one_node_leaves_no_robot_of_the_others_running(
     run_client(distro, "failing_stop", tmp_path, build / "model.json")
 
 
+@pytest.mark.slow
 def test_node_with_ideal_joints(distro: str, build: Path, tmp_path: Path) -> None:
     options = {"base": "ideal", "autostart": False, "stamped": False}
     with node(distro, build, tmp_path, **options) as process:
@@ -153,6 +155,7 @@ def test_node_with_mujoco_and_its_clock(distro: str, build: Path, tmp_path: Path
         end(process)
 
 
+@pytest.mark.slow
 def test_sensors_of_mujoco(distro: str, tmp_path: Path) -> None:
     wall = "world: {obstacles: {wall: {shape: box, xyz: [4.5, 0, 0], size: [1, 30, 3]}}}\n"
     simulated = simulation(tmp_path, wall, ALL_SENSORS)
@@ -252,6 +255,7 @@ def test_data_and_settings_of_devices(distro: str, tmp_path: Path) -> None:
         end(process)  # while the robot drives
 
 
+@pytest.mark.slow
 def test_mission_over_topics_follows_the_path_of_the_mission_without_ros(
     distro: str, build: Path, tmp_path: Path
 ) -> None:

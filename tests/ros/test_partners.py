@@ -59,6 +59,7 @@ def plays(distro: str, packages: Path, tmp_path: Path, partner: str, script: str
     assert not any(map(any, answers.values())), answers
 
 
+@pytest.mark.slow
 @each_distro()
 def test_a_goal_of_nav2(distro: str, packages: Path, tmp_path: Path) -> None:
     plays(distro, packages, tmp_path, "nav2", "first_goal")

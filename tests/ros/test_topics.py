@@ -41,6 +41,7 @@ def test_wrong_joint_states_are_faults_with_their_reasons(
     run_client(distro, "topic_faults", tmp_path, build(STEERED, tmp_path), dialect)
 
 
+@pytest.mark.slow
 @each_dialect()
 def test_a_guard_stops_the_drives_of_a_silent_driver(
     distro: str, dialect: str, tmp_path: Path

@@ -203,6 +203,7 @@ def test_buses_run_faster_or_slower_than_real_time(factor: float) -> None:
     machine.robot.shutdown()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "stops"), [(1.0, True), (0.0, False)])
 def test_a_frozen_process_is_a_gap_of_buses_that_keep_to_real_time(
     factor: float, stops: bool

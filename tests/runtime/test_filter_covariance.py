@@ -103,6 +103,7 @@ def test_before_the_first_joint_states_the_covariance_is_that_of_the_estimate() 
     assert published == estimate.covariance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [20.0, 60.0])
 @pytest.mark.parametrize("drive", mostly_exhaustive(BOUNDED))
 def test_the_filter_is_consistent_about_lasting_errors_at_all_times(
@@ -123,6 +124,7 @@ def test_the_filter_is_consistent_with_the_noise_of_the_errors(kind: str, drive:
     assert 0.5 < result.nees < 2.0
 
 
+@pytest.mark.slow
 def test_with_the_covariance_of_one_twist_the_filter_is_wrong_and_sure() -> None:
     results = [
         study(example_robot("4wd4ws_wide"), "straight", DRIVE, covariance, rate=10.0, runs=50)

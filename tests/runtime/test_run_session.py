@@ -39,6 +39,7 @@ def interfaces(simulated: SimulatedRobot) -> dict[str, CanInterface]:
     return {bus.name: simulated.interface(bus.name) for bus in simulated.robot.buses}
 
 
+@pytest.mark.slow
 def test_a_twist_is_driven_for_the_duration(
     robot: Robot, interfaces: dict[str, CanInterface]
 ) -> None:
@@ -64,6 +65,7 @@ def test_a_request_stops_the_robot(robot: Robot, interfaces: dict[str, CanInterf
     assert "active" in [change["state"] for change in session.summary()["changes"]]
 
 
+@pytest.mark.slow
 def test_a_session_with_a_twist_arms_the_robot_once(
     robot: Robot, interfaces: dict[str, CanInterface]
 ) -> None:
@@ -186,6 +188,7 @@ def test_the_twist_of_a_session_ends_as_soon_as_it_was_ineffective(
         assert session.twist_ended in diagnostic.message
 
 
+@pytest.mark.slow
 def test_a_bus_that_stood_for_a_moment_ends_the_twist(
     robot: Robot, simulated: SimulatedRobot
 ) -> None:
@@ -254,6 +257,7 @@ def test_a_session_waits_for_drives_that_get_their_power_later(
     assert session.waits_for == ""
 
 
+@pytest.mark.slow
 def test_a_waiting_session_begins_no_start_up_under_a_commanded_motion(
     robot: Robot, simulated: SimulatedRobot, interfaces: dict[str, CanInterface]
 ) -> None:

@@ -122,6 +122,7 @@ def site(robot: Robot) -> Iterator[Site]:
         yield Site(robot, f"{folder}/control")
 
 
+@pytest.mark.slow
 def test_the_stop_button_stops_the_wheels(site: Site) -> None:
     def press(site: Site) -> tuple[Answer, Any]:
         answer = site.request("POST", "/stop", **{"X-Token": site.token()})
@@ -147,6 +148,7 @@ REFUSED: list[tuple[str, dict[str, str], int]] = [
 """Path and headers of a POST, and the status of its answer."""
 
 
+@pytest.mark.slow
 def test_other_posts_are_refused_and_the_robot_goes_on(site: Site) -> None:
     def post(site: Site) -> tuple[list[int], Any, float]:
         token = site.token()
@@ -182,6 +184,7 @@ def test_what_can_be_read(site: Site) -> None:
     assert "# TV880 bus-stopped" in page
 
 
+@pytest.mark.slow
 def test_a_client_that_hangs_stops_nothing(site: Site) -> None:
     def hang(site: Site) -> tuple[float, Answer, Any]:
         with contextlib.ExitStack() as stack:

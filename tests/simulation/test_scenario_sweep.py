@@ -67,6 +67,7 @@ def test_all_combinations_of_the_values(scenario: Path) -> None:
     assert [v["faults"] for v in values] == [[], [], ice, ice]
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_the_processes(thorvaldc: Command, scenario: Path) -> None:
     tables = []
     angles = "faults.0.angle=-0.5 deg,0.5 deg"
@@ -144,6 +145,7 @@ def test_wrong_options_are_usage_errors(thorvaldc: Command, scenario: Path) -> N
     assert thorvaldc("scenario", str(scenario), *several, "-o", "none/x.csv").status == 3
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_finished_runs(scenario: Path) -> None:
     """The signal goes to all processes, as from a terminal."""
     out = scenario.with_name("out.csv")

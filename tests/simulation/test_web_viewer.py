@@ -85,6 +85,7 @@ def test_the_page_loads_nothing_and_is_deterministic() -> None:
     assert view_page(example_robot(NAME)) == html
 
 
+@pytest.mark.slow
 def test_the_viewer_is_built_from_its_source(tmp_path: Path) -> None:
     npm = path_of("npm")
     folder = tmp_path / "viewer"
@@ -220,6 +221,7 @@ def test_a_robot_in_the_browser(browse: Callable[..., tuple[str, Path]]) -> None
     assert orange > 0.0005  # the selected part
 
 
+@pytest.mark.slow
 def test_a_fleet_in_the_browser(browse: Callable[..., tuple[str, Path]]) -> None:
     fleet = example_fleet("fleet_of_four")
     six = next(p for p in fleet.placements if p.name == "six")

@@ -12,6 +12,8 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
+import pytest
+
 from tests.cli.conftest import needs_tools
 from tests.examples import FOLDER, robot_with_meshes
 
@@ -62,6 +64,7 @@ def products(file: str) -> dict[str, str]:
     return {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
 
 
+@pytest.mark.slow
 @needs_tools
 def test_all_products_are_the_same_without_numpy(tmp_path: Path) -> None:
     for name, data in robot_with_meshes().items():

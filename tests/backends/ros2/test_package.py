@@ -136,6 +136,7 @@ def test_each_robot_of_a_fleet_and_the_fleet_have_a_package() -> None:
     assert set(names) - {"fleet_of_four_fleet"} <= depends
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distro", DISTROS)
 def test_colcon_builds_the_package(distro: str, tmp_path: Path) -> None:
     """All files of the package are installed, and the program of the base driver is found."""

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from tests.backends.ros2.packages import launch, named, parameter_files, variant, write
 from tests.child_process import ChildProcess
 from tests.examples import SAMPLED_ROBOTS
@@ -84,12 +86,14 @@ def test_rcl_reads_every_value_with_its_type(distro: str, tmp_path: Path) -> Non
     assert count > 70 * len(SAMPLED_ROBOTS)
 
 
+@pytest.mark.slow
 def test_the_launched_base_driver_drives_the_robot(distro: str, tmp_path: Path) -> None:
     robot = variant("4wd4ws_wide", distro=distro, namespace="r1")
     with launched(distro, robot, tmp_path):
         drive(distro, robot, tmp_path, "r1")
 
 
+@pytest.mark.slow
 def test_two_robots_of_one_package_drive(distro: str, tmp_path: Path) -> None:
     robot = variant("2wd0ws_greenhouse", distro=distro)
     spaces = ("a", "farm/b")

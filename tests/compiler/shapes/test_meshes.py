@@ -143,6 +143,7 @@ def nested_collada(levels: int) -> str:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="memory limits require Linux")
 def test_a_small_file_of_nested_instances_is_stopped(tmp_path: Path) -> None:
     mesh, report = load(write(tmp_path / "few.dae", nested_collada(2)))

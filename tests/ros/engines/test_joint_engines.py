@@ -64,12 +64,14 @@ def assert_moved(moved: dict[str, Any], tolerance: float) -> None:
         assert moved["position"][joint] == pytest.approx(angle, abs=0.01), joint
 
 
+@pytest.mark.slow
 def test_mock_joints_follow_their_commands(distro: str, tmp_path: Path) -> None:
     moved = drive(distro, tmp_path, arguments(build(tmp_path)), "controllers", 1.0)
     assert_moved(moved, 1e-9)
     assert moved["names"] == sorted(moved["names"])
 
 
+@pytest.mark.slow
 def test_controllers_drive_a_robot_in_mujoco(distro: str, tmp_path: Path) -> None:
     package = build(tmp_path)
     for scene in (tmp_path / "mjcf", package / "mjcf"):
@@ -79,6 +81,7 @@ def test_controllers_drive_a_robot_in_mujoco(distro: str, tmp_path: Path) -> Non
         assert moved["x"] > 0.5
 
 
+@pytest.mark.slow
 def test_joint_states_drive_a_robot_in_mujoco(distro: str, tmp_path: Path) -> None:
     scene = build(tmp_path).parent / "mjcf" / "scene.xml"
     topics = ["--speed-topic", "speed", "--angle-topic", "angle", "--state-topic", "states"]
@@ -88,6 +91,7 @@ def test_joint_states_drive_a_robot_in_mujoco(distro: str, tmp_path: Path) -> No
     assert moved["x"] > 0.5
 
 
+@pytest.mark.slow
 def test_another_order_of_joints_moves_other_joints(distro: str, tmp_path: Path) -> None:
     package = build(tmp_path)
     change(package, '"fl_drive_axle", "fr_drive_axle"', '"fr_drive_axle", "fl_drive_axle"')
@@ -127,6 +131,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
 def test_wrong_files_end_the_engine(distro: str, tmp_path: Path) -> None:
     path = build(tmp_path) / "config" / "controllers.yaml"
     text = path.read_text(encoding="utf-8")

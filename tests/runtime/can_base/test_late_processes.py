@@ -40,6 +40,7 @@ def driving(kind: str) -> tuple[Rig, LateBus]:
     return rig, rig.interface
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["cia402", "script"])
 def test_a_late_process_of_the_bus_is_no_silent_node(kind: str) -> None:
     rig, bus = driving(kind)

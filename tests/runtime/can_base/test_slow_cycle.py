@@ -18,6 +18,7 @@ SCRIPT = re.sub(r', serial: "\w+"', "", CIA402.replace("cia402_propulsion", "pro
 SETTINGS = "driver: {rate: 5 Hz, command_timeout: 2 s}\n"  # the lowest rate of the schema
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", [SCRIPT, CIA402], ids=["script", "cia402"])
 def test_the_slowest_cycle_starts_drives_stops_and_ends(text: str) -> None:
     rig = Rig(at_home(compiled(text + SETTINGS)))

@@ -90,6 +90,7 @@ def test_long_paths_and_diverged_runs() -> None:
     assert draw({"a": ROBOT}, {"a": []}, "a").axes  # a run without samples
 
 
+@pytest.mark.slow
 def test_a_large_fleet_shows_the_velocities_of_some() -> None:
     names = [f"r{k}" for k in range(8)]
     figure = draw(dict.fromkeys(names, ROBOT), dict.fromkeys(names, drive(3)), "many")

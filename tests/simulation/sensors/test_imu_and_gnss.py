@@ -98,6 +98,7 @@ def test_errors_of_an_imu_are_those_of_the_module(tmp_path: Path) -> None:
     assert reading.angular_velocity_covariance[0] == pytest.approx((0.00015 * 10.0) ** 2 + bias)
 
 
+@pytest.mark.slow
 def test_biases_of_an_imu_are_those_of_the_module(tmp_path: Path) -> None:
     params = "gyro_noise: 0, accelerometer_noise: 0, accelerometer_bias: 0.002 m/s^2"
     imu = f"  imu: {{type: sensor/imu, mount: frame.rear_center, params: {{{params}}}}}\n"
@@ -115,6 +116,7 @@ def test_biases_of_an_imu_are_those_of_the_module(tmp_path: Path) -> None:
     assert [xyz(m.angular_velocity) for m in second] == pytest.approx(gyro)
 
 
+@pytest.mark.slow
 def test_errors_of_the_orientation_last(tmp_path: Path) -> None:
     imu = (
         "  imu: {type: sensor/imu, mount: frame.rear_center, params:"
@@ -162,6 +164,7 @@ def test_a_fix_is_the_place_of_the_antenna(tmp_path: Path) -> None:
     assert (x, y) == (pytest.approx(0.3, abs=1e-3), pytest.approx(0.2, abs=1e-3))
 
 
+@pytest.mark.slow
 def test_errors_of_a_fix_wander(tmp_path: Path) -> None:
     params = "{accuracy: 20 mm, wander: 0.6, wander_time: 2 s, rate: 5 Hz}"
     gnss = f"  gnss: {{type: sensor/gnss_antenna, mount: {{parent: frame}}, params: {params}}}\n"

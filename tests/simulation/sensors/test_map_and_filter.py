@@ -11,6 +11,7 @@ from bench.sensors import filtered, mapped, room, with_gnss
 from tests.examples import example_robot
 
 
+@pytest.mark.slow
 def test_a_drive_gives_a_map_of_the_room(tmp_path: Path) -> None:
     result = mapped(room(EXAMPLE, tmp_path, 16.0))
     assert result.error < 0.02

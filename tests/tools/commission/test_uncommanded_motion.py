@@ -234,6 +234,7 @@ def test_a_stop_of_a_wheel_that_stood_is_not_measured() -> None:
     assert not outcome.passed(LEFT)
 
 
+@pytest.mark.slow
 def test_a_drive_that_keeps_its_torque_is_named() -> None:
     robot = robot_of("cia402_steered")
     outcome, record = disturbed(robot, "l_steering_steering", "frozen_reports", "in a homing")

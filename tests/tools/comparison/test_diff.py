@@ -134,6 +134,7 @@ def test_a_build_has_no_module_types_but_all_values(thorvaldc: Command) -> None:
     assert "y position" in thorvaldc("diff", "out", other).out
 
 
+@pytest.mark.slow
 def test_a_revision_is_read_with_its_own_modules(
     thorvaldc: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

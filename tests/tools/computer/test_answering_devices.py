@@ -38,6 +38,7 @@ def answers(robot: Robot, spec: str, monkeypatch: pytest.MonkeyPatch) -> Answers
 IDENTITY = "vendor 0x0, product 0x192, revision 0x10000, serial 0x10"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "messages"),
     [
@@ -113,6 +114,7 @@ def test_a_bus_without_power_is_no_error(tmp_path: Path, monkeypatch: pytest.Mon
     assert note == "nothing answered on the bus `main`: its devices may have no power"
 
 
+@pytest.mark.slow
 def test_exchanged_adapters_are_one_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = TWO_BUSES.replace("fr: {type: caster/swivel, mount: frame.front_right}", FRONT_RIGHT)
     robot = compiled(text.replace("{id: 1,", "{bus: left, id: 1,"))

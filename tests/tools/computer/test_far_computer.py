@@ -21,6 +21,7 @@ def robot(far: Path, root: Path, thorvaldc: Command) -> Path:
     return far
 
 
+@pytest.mark.slow
 def test_the_status_of_a_far_robot(robot: Path, thorvaldc: Command) -> None:
     write_program(robot / "bin/date", '#!/bin/sh\nexec /bin/date --date "3 seconds ago" "$@"\n')
     outcome = thorvaldc("status", "--host", "robot", "--json")
@@ -97,6 +98,7 @@ def test_hosts_that_do_not_answer(
     assert "/no/python: not found)" in text
 
 
+@pytest.mark.slow
 def test_answers_of_another_build(far: Path, thorvaldc: Command) -> None:
     """A version that is not released has many builds."""
     program = far / "home/thorvaldc-env/bin/thorvaldc"
@@ -175,6 +177,7 @@ def test_a_model_is_installed_as_it_is(far: Path, root: Path, thorvaldc: Command
     assert shown.out == "good: version 1\n  the base driver does not run\n"
 
 
+@pytest.mark.slow
 def test_a_far_installation_that_is_refused(far: Path, root: Path, thorvaldc: Command) -> None:
     """Nothing is installed of files of which some are missing, or without rights."""
     install_far_program(far, root)

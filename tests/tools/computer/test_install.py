@@ -118,6 +118,7 @@ def test_libraries_of_archives_come_along(
     assert checked.status == 0, checked.err
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_leaves_the_old_or_the_new_version(
     root: Path, thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

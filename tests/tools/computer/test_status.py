@@ -94,6 +94,7 @@ def test_a_driver_of_another_version(
     assert "restart the service" in status_lines(status)[-1]
 
 
+@pytest.mark.slow
 def test_a_fault_with_its_page(
     root: Path, thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

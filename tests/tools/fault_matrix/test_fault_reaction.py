@@ -125,6 +125,7 @@ print(json.dumps([can_fork(), forked, alone]))
 """
 
 
+@pytest.mark.slow
 def test_copies_of_a_process_react_as_a_new_start_does() -> None:
     """Also as a new start on a computer that is so busy that each request takes a second."""
     command = [sys.executable, "-c", SAME, "2"]

@@ -31,6 +31,7 @@ def _robot(thorvaldc: Command) -> None:
     Path("pair.yaml").write_text(ROBOT, encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_markdown(thorvaldc: Command) -> None:
     status, out, err = thorvaldc("faults", "pair.yaml", "--only", "EMCY", "-j", "1")
     assert (status, err) == (0, "")

@@ -31,6 +31,7 @@ def rows(name: str) -> dict[str, GroundRow]:
     return {row.fault.name: row for row in ground_faults.ground_rows(robot(name), groups)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["4wd4ws_wide", "2wd0ws_greenhouse"])
 def test_stalled_wheels_are_warned_about_and_within_the_stated_error(name: str) -> None:
     for fault in ("a wheel stalls", "all wheels stall"):

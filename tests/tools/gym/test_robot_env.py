@@ -252,6 +252,7 @@ RANDOM = {
 }
 
 
+@pytest.mark.slow
 def test_each_reset_draws_another_robot_and_another_world(gymnasium: Any) -> None:
     """The values follow from the seed, and the robot that drives is the one with the values."""
     env = environment(gymnasium, FIELD, randomize=RANDOM).unwrapped
@@ -282,6 +283,7 @@ def test_each_reset_draws_another_robot_and_another_world(gymnasium: Any) -> Non
     assert env.observation_space.contains(observation)
 
 
+@pytest.mark.slow
 def test_values_that_no_environment_can_have(gymnasium: Any, tmp_path: Path) -> None:
     for randomize, message in (
         ({"world.friction": (0.8, 0.3)}, "no range of `world.friction`"),
@@ -310,6 +312,7 @@ def test_values_that_no_environment_can_have(gymnasium: Any, tmp_path: Path) -> 
         plain.reset(options={"set": {"driver.rate": "50 Hz"}})
 
 
+@pytest.mark.slow
 def test_the_checker_passes_with_other_robots(gymnasium: Any) -> None:
     from gymnasium.utils.env_checker import check_env
 
@@ -448,6 +451,7 @@ def ranges(env: Any) -> Any:
 SPACE = spaces.Box(0.0, 30.0, (541,), np.float32)
 
 
+@pytest.mark.slow
 def test_an_own_observation_is_that_of_a_sensor(gymnasium: Any) -> None:
     from gymnasium.utils.env_checker import check_env
 

@@ -113,6 +113,7 @@ async def test_foreign_documents_have_no_diagnostics(editor: Editor) -> None:
         assert await editor.codes_of(uri) == []
 
 
+@pytest.mark.slow
 async def test_examples_of_all_kinds_have_the_diagnostics_of_check(editor: Editor) -> None:
     uris = {path: editor.open(path, uri=uri_of(path)) for path in EXAMPLES}
     for path, uri in uris.items():

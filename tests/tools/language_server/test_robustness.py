@@ -73,6 +73,7 @@ async def test_hostile_documents(editor: Editor, name: str) -> None:
     assert await editor.codes_of(uri) == []
 
 
+@pytest.mark.slow
 async def test_every_prefix_of_a_robot(editor: Editor) -> None:
     """As typed, character by character: each prefix gets answers, and the last one diagnostics."""
     uri = editor.open("robot.yaml", "")

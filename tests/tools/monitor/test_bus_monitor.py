@@ -101,6 +101,7 @@ def test_a_node_that_stops_sending(driving: MonitoredRobot) -> None:
     assert any("fl_controller" in x and "SILENT" in x for x in monitor_lines(driving.summary()))
 
 
+@pytest.mark.slow
 def test_two_nodes_with_one_id(driving: MonitoredRobot) -> None:
     driving.rig.simulated.clone("fl_controller", "twin").power_on()
     driving.rig.run(5.0)
@@ -144,6 +145,7 @@ def test_many_identifiers_outside_the_map() -> None:
     assert monitored.monitor.unknown_lost == 20
 
 
+@pytest.mark.slow
 def test_states_of_cia_402_drives() -> None:
     monitored = MonitoredRobot(cia402_robot())
     monitored.rig.run(0.6)

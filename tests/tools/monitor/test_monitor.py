@@ -37,6 +37,7 @@ def bus(folder: Path) -> Iterator[str]:
         yield f"sim:{listing['channel']}"
 
 
+@pytest.mark.slow
 def test_json_lines_text_and_live_view(bus: str, folder: Path, thorvaldc: Command) -> None:
     watch = ("can", "monitor", "good.yaml", "--bus", bus)
     result = thorvaldc(*watch, "--duration", "1 s", "--interval", "250 ms", "--json")
@@ -56,6 +57,7 @@ def test_json_lines_text_and_live_view(bus: str, folder: Path, thorvaldc: Comman
     assert "\x1b" not in result.out
 
 
+@pytest.mark.slow
 def test_the_live_view_scrolls(bus: str, folder: Path) -> None:
     person = Person(folder, "can", "monitor", "good.yaml", "--bus", bus)
     try:
@@ -115,6 +117,7 @@ def test_a_reader_that_ends_is_no_lost_interface(bus: str, folder: Path) -> None
     process.stderr.close()
 
 
+@pytest.mark.slow
 def test_a_bus_that_ends_is_3(folder: Path, thorvaldc: Command) -> None:
     sockets = Path(os.environ["XDG_RUNTIME_DIR"])
     (sockets / "good.yaml").write_text(GOOD)

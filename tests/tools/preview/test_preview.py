@@ -205,6 +205,7 @@ def test_each_control_is_reached_with_the_keyboard(page: Page) -> None:
     assert page.evaluate("viewer.camera.position.x") != before
 
 
+@pytest.mark.slow
 def test_the_ground_has_no_end(page: Page) -> None:
     moved = (
         "viewer.controls.target.set(40.4, -7.6, 0); viewer.draw(); viewer.grid.position.toArray()"
@@ -335,6 +336,7 @@ NO_MESSAGES = (
 )
 
 
+@pytest.mark.slow
 def test_a_message_that_is_none_of_the_page_is_ignored(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text(GOOD, encoding="utf-8")
     with (tmp_path / "messages").open("w") as messages:

@@ -82,6 +82,7 @@ def changed_lines(before: list[str], after: list[str]) -> set[int]:
     return {i for i in changed if moved[before[i]] < 0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAMPLED_ROBOTS)
 def test_an_output_without_its_marks_is_the_output(name: str) -> None:
     """Padding of tables differs, because a mark takes columns."""

@@ -143,6 +143,7 @@ def test_a_calibration_file(thorvaldc: Command) -> None:
     assert document["comes_from"][0]["place"].startswith("calibration.yaml:4:")
 
 
+@pytest.mark.slow
 def test_an_assembly_in_a_module_folder_of_the_user(thorvaldc: Command) -> None:
     for name, module in (("tower", OUTER), ("pole", POLE)):
         folder = Path("parts/mast") / name

@@ -107,6 +107,7 @@ def test_the_front_dominates_that_of_random_designs(run: Command) -> None:
     assert dominated_area("search") > max(*areas, 1.05 * statistics.fmean(areas))
 
 
+@pytest.mark.slow
 def test_a_stopped_search_goes_on_with_the_same_designs(run: Command) -> None:
     write_study(SEARCH, ("number: 64", "number: 24"))
     assert run("study", "run", "study.yaml", "-j", "1", "-o", "whole").status == 0
@@ -125,6 +126,7 @@ def test_a_stopped_search_goes_on_with_the_same_designs(run: Command) -> None:
     assert "of the study search" in Path("b.yaml").read_text()
 
 
+@pytest.mark.slow
 def test_more_designs_continue_a_search(run: Command) -> None:
     write_study(SEARCH, ("number: 64", "number: 20"))
     assert run("study", "run", "study.yaml", "-j", "1", "-o", "out").status == 0
@@ -149,6 +151,7 @@ def test_without_a_scheduler_the_table_stays_whole(run: Command) -> None:
     assert Path("out/designs.parquet").read_bytes() == expected
 
 
+@pytest.mark.slow
 def test_listed_values_and_failing_designs(run: Command) -> None:
     types = "values: [assembly/steered_drive, assembly/fixed_drive]"
     write_study(

@@ -360,6 +360,7 @@ def edited(change: Callable[[str], str]) -> None:
     Path("study.yaml").write_text(change(STUDY))
 
 
+@pytest.mark.slow
 def test_wrong_uses_are_one_line(run: Command) -> None:
     edited(lambda text: text.replace("number: 81", "number: 2"))
     assert run("study", "run", "good.yaml").status == 2
@@ -392,6 +393,7 @@ def test_the_page_shows_the_example() -> None:
     assert len(Study(example)) == 32
 
 
+@pytest.mark.slow
 def test_the_program_of_the_page_runs(run: Command) -> None:
     """In this process and as an argument of the command, on two processes."""
     page = (ROOT / "docs/studies.md").read_text("utf-8")

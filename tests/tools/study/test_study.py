@@ -78,6 +78,7 @@ def test_other_files_are_another_study(run: Command) -> None:
         study.run("out")
 
 
+@pytest.mark.slow
 def test_a_mesh_belongs_to_the_question(run: Command) -> None:
     shutil.copytree(ROOT / "examples/4wd2ws_tall", "tall")
     document = {**DOCUMENT, "robot": "tall/robot.yaml"}
@@ -128,6 +129,7 @@ def test_a_program_that_its_processes_would_run_again(run: Command) -> None:
     assert "below `if __name__ == '__main__':`" in done.stderr.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_a_program_finds_the_modules_beside_it(run: Command) -> None:
     Path("folder").mkdir()
     Path("folder/helper_of_the_study.py").write_text("def measure(robot): return {'e': 1.0}\n")

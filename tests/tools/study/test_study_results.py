@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 import pandas
+import pytest
 
 from tests.cli.conftest import GOOD
 from tests.tools.study.test_search import write_study
@@ -78,6 +79,7 @@ def test_base_samples_without_a_value_are_left_out() -> None:
     assert {entry["incomplete"] for entry in sensitivities(rows)} == {1}
 
 
+@pytest.mark.slow
 def test_a_study_states_what_matters(run: Command) -> None:
     Path("good.yaml").write_text(f"{GOOD}description: plain\n")
     write_study(STUDY)
@@ -100,6 +102,7 @@ def test_a_study_states_what_matters(run: Command) -> None:
     assert text == run("study", "show", "study.yaml", "--results", "out").out
 
 
+@pytest.mark.slow
 def test_an_objective_without_variance(run: Command) -> None:
     Path("good.yaml").write_text(f"{GOOD}description: plain\n")
     write_study(

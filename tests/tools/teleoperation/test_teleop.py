@@ -57,6 +57,7 @@ def state(thorvaldc: Command, name: str = "good") -> dict[str, Any]:
     return values
 
 
+@pytest.mark.slow
 def test_keys_drive_and_a_service_is_called_beside(
     teleop: Person, thorvaldc: Command, folder: Path
 ) -> None:
@@ -102,6 +103,7 @@ def test_the_terminal_is_restored(teleop: Person, way: str) -> None:
     assert "Traceback" not in teleop.shown
 
 
+@pytest.mark.slow
 def test_two_operators_drive_one_robot(teleop: Person, folder: Path, thorvaldc: Command) -> None:
     other_person = at_teleop(folder, "--to", "good", "--source", "auto_nav", "--speed", "100")
     try:
@@ -172,6 +174,7 @@ def test_call_without_a_driver(folder: Path, thorvaldc: Command) -> None:
     assert thorvaldc("call", "nobody", "state", "novalue").status == 2
 
 
+@pytest.mark.slow
 def test_teleop_drives_the_robot_of_run(folder: Path, thorvaldc: Command) -> None:
     (folder / "good.yaml").write_text(GOOD + SLOW)
     command = [sys.executable, "-m", "thorvaldc", "run", "good.yaml", "--bus", "virtual"]
