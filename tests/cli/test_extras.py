@@ -93,7 +93,7 @@ def own_interfaces() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("own_interfaces")
-@pytest.mark.parametrize("hint", mostly_slow(HINTS, 3), ids=[h[0] for h in HINTS])
+@pytest.mark.parametrize("hint", mostly_slow(HINTS), ids=[h[0] for h in HINTS])
 def test_a_missing_package_is_one_line_with_the_extra_that_installs_it(
     thorvaldc: Command,
     monkeypatch: pytest.MonkeyPatch,

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/contributing.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r"^File `([^`]+)`:\n\n```\w+\n(.*?)^```", PAGE, re.M | re.S))
 
-pytestmark = pytest.mark.xdist_group("contributing")
+pytestmark = [pytest.mark.xdist_group("contributing"), pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")

@@ -123,7 +123,7 @@ def run(command: list[str], folder: Path, text: str = "") -> str:
 
 
 @pytest.mark.parametrize(
-    "page", mostly_slow(PAGES, 9), ids=lambda page: str(page.relative_to(ROOT))
+    "page", mostly_slow(PAGES, 4), ids=lambda page: str(page.relative_to(ROOT))
 )
 def test_the_snippets_of_a_page_run(page: Path, tmp_path: Path) -> None:
     text = page.read_text(encoding="utf-8")

@@ -116,7 +116,7 @@ def test_the_filter_is_consistent_about_lasting_errors_at_all_times(
 
 
 @pytest.mark.parametrize("drive", mostly_exhaustive(BOUNDED))
-@pytest.mark.parametrize("kind", mostly_slow(["white", "lasting 2 s", MIXED]))
+@pytest.mark.parametrize("kind", mostly_slow(["white", "lasting 2 s", MIXED], 0))
 def test_the_filter_is_consistent_with_the_noise_of_the_errors(kind: str, drive: str) -> None:
     # White errors are as small as the error of the filter's Euler steps: they need short ones.
     rate, runs = (50.0, 50) if kind == "white" else (10.0, 200)

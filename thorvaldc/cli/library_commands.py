@@ -181,30 +181,21 @@ def schema(
     return DONE
 
 
-def _library(folders: Sequence[str]) -> Library:
-    from thorvaldc.compiler.modules.library import Library
-
-    return Library([(folder, str(folder)) for folder in options.library_folders(folders)])
+_OfRobot = Annotated[
+    str,
+    typer.Argument(metavar="[ROBOT]", help="With the libraries of this robot.", show_default=False),
+]
 
 
 def list_modules(
-    robot: Annotated[
-        str,
-        typer.Argument(
-            metavar="[ROBOT]", help="Also list the libraries of this robot.", show_default=False
-        ),
-    ] = "",
+    robot: _OfRobot = "",
     json: options.Json = False,
     library: options.Library = [],  # noqa: B006
 ) -> int:
     from thorvaldc.compiler.source.node import Node
 
     report, sources = Report(), dict[str, Path]()
-    pins: dict[str, LibraryPin] = {}
-    if robot:
-        module_library, pins = _library_of_robot(robot, library, report, sources)
-    else:
-        module_library = _library(library)
+    module_library, pins = _library(robot, library, report, sources)
     loaded = [
         module_library.load(name, Node(name, Span("command line")), report)
         for name in module_library.names()
@@ -222,22 +213,26 @@ def list_modules(
     return status
 
 
-def _library_of_robot(
+def _library(
     robot: str, library: Sequence[str], report: Report, sources: dict[str, Path]
 ) -> tuple[Library, dict[str, LibraryPin]]:
     """Returns the library of a robot file, and the fetched libraries by their names in diagnostics.
 
-    ``report``, ``sources``: the function adds the diagnostics of the file and their files.
+    Without a ``robot``, it is the built-in library with the folders ``library``.  ``report``,
+    ``sources``: the function adds the diagnostics of the file and their files.
     """
-    from thorvaldc.compiler.modules.fetched_library import read_pins
     from thorvaldc.compiler.modules.library import Library
+
+    folders = options.library_folders(library)
+    named = [(folder, str(folder)) for folder in folders]
+    if not robot:
+        return Library(named), {}
+    from thorvaldc.compiler.modules.fetched_library import read_pins
     from thorvaldc.compiler.pipeline import library_folders_of
     from thorvaldc.compiler.result import Compilation, SourceFile
 
     path = Path(robot)
     source, errors = SourceFile(path, path.name or robot, path.parent), Report()
-    folders = options.library_folders(library)
-    named = [(folder, str(folder)) for folder in folders]
     if source.document is not None:
         document = source.check_shape(source.document)
         named = library_folders_of(document, path.parent, folders, errors, source.files)
@@ -286,6 +281,7 @@ def show_module(
             metavar="TYPE", autocompletion=module_types, help="For instance drive/standard."
         ),
     ],
+    robot: _OfRobot = "",
     json: options.Json = False,
     library: options.Library = [],  # noqa: B006
 ) -> int:
@@ -299,15 +295,17 @@ def show_module(
     )
     from thorvaldc.compiler.source.node import Node
 
-    module_library = _library(library)
+    report, sources = Report(), dict[str, Path]()
+    module_library, _ = _library(robot, library, report, sources)
     names = module_library.names()
+    if type not in names and report.has_errors:
+        return show_report(report, sources)
     if type not in names:
         near = nearest(type, names)
         hint = f"; did you mean {near!r}?" if near else ""
         raise typer.BadParameter(f"there is no module type {type!r}{hint}", param_hint="TYPE")
-    report = Report()
     module = module_library.load(type, Node(type, Span("command line")), report)
-    status = show_report(report, module_library.files)
+    status = show_report(report, {**sources, **module_library.files})
     if module is None:
         return status
     description = describe_module(module, module_library)
@@ -332,7 +330,11 @@ def show_module(
 def check_modules(
     folders: Annotated[
         list[str],
-        typer.Argument(metavar="[DIR]...", help="Library folders.", show_default="the project's"),
+        typer.Argument(
+            metavar="[DIR|ROBOT]...",
+            help="Library folders, or robots whose libraries are checked.",
+            show_default="the project's",
+        ),
     ] = [],  # noqa: B006
     format: options.Format = "text",
     json: options.Json = False,
@@ -343,11 +345,17 @@ def check_modules(
     format = "json" if json else format
     check_format(format)
     output = DiagnosticOutput(format, sys.stdout)
-    paths: list[Path | None] = [*options.library_folders(folders, "DIR")]
-    for folder in paths or [None]:
-        result = check_library(folder)
-        output.add(result.report, result.sources)
-        output.result(f"{folder or 'modules'}: {count(len(result.names), 'module')}")
+    robots = [name for name in folders if Path(name).is_file()]
+    options.library_folders([name for name in folders if name not in robots], "DIR")
+    for name in folders or ["modules"]:
+        checked: Path | Library | None = Path(name) if folders else None
+        if name in robots:
+            report, sources = Report(), dict[str, Path]()
+            checked, _ = _library(name, (), report, sources)
+            output.add(report, sources)
+        check = check_library(checked)
+        output.add(check.report, check.sources)
+        output.result(f"{name}: {count(len(check.names), 'module')}")
     return output.finish(strict)
 
 

@@ -17,7 +17,7 @@ from thorvaldc.compiler.bus.assemble_buses import build_buses
 from thorvaldc.compiler.bus.device_sections import BusSpec, Device
 from thorvaldc.compiler.hardware.hardware_reader import Hardware, hardware_of
 from thorvaldc.compiler.hardware.robot_parts import RobotParts, masses_by_source, modules_of
-from thorvaldc.compiler.modules.library import Library, ModuleType
+from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY, Library, ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope, hint_of_known
 from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
 from thorvaldc.compiler.modules.mounting import mount_kinds
@@ -53,13 +53,19 @@ class LibraryCheck:
     sources: dict[str, Path] = field(default_factory=dict)
 
 
-def check_library(folder: Path | None) -> LibraryCheck:
-    """Checks every module type of a library folder.
+def check_library(checked: Path | Library | None) -> LibraryCheck:
+    """Checks every module type of a library folder, or of all folders of a robot's library.
 
-    ``folder``: path of the library folder, or ``None`` for the built-in library.
+    ``None`` is the built-in library, which is not checked with those of a robot.
     """
-    library = Library([(folder, str(folder))] if folder is not None else [])
-    check = LibraryCheck(library.names_in(folder) if folder is not None else library.names())
+    library = (
+        checked
+        if isinstance(checked, Library)
+        else Library([] if checked is None else [(checked, str(checked))])
+    )
+    folders = [folder for folder, name in library.folders if name != BUILTIN_LIBRARY]
+    names = {name for folder in folders for name in library.names_in(folder)}
+    check = LibraryCheck(sorted(names) if checked is not None else library.names())
     for name in check.names:
         check_module(name, library, check.report)
     check.sources = library.files

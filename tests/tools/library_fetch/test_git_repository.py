@@ -354,6 +354,27 @@ def test_modules_list_shows_origin_and_version(thorvaldc: Command, vendor: Vendo
     assert fetched["libraries"] == [pin]
 
 
+def test_modules_of_a_fetched_library_are_shown_and_checked(
+    thorvaldc: Command, vendor: Vendor
+) -> None:
+    assert "TV702" in thorvaldc("modules", "show", "top/plate", "robot.yaml").err
+    assert thorvaldc("modules", "check", "robot.yaml").status == 1
+    thorvaldc("modules", "fetch", "robot.yaml")
+    shown = thorvaldc("modules", "show", "top/plate", "robot.yaml")
+    assert "A plate of the vendor." in shown.out
+    assert "2 kg" in shown.out
+    assert thorvaldc("modules", "show", "top/plate").status == 2
+    checked = thorvaldc("modules", "check", "robot.yaml")
+    assert (checked.status, checked.out) == (0, "robot.yaml: 1 module\n")
+    (vendor.folder / NAME).write_text("thorvaldc: 1\nmont: {}\n", encoding="utf-8")
+    vendor.commit("v1.2")
+    shutil.rmtree(vendor.cache)
+    thorvaldc("modules", "fetch", "--update", "robot.yaml")
+    checked = thorvaldc("modules", "check", "robot.yaml")
+    assert checked.status == 1
+    assert "<vendor@v1.2>/top/plate/module.yaml:2:1: error[TV201]" in checked.out
+
+
 def test_the_source_of_a_number_has_a_readable_place(thorvaldc: Command, vendor: Vendor) -> None:
     thorvaldc("modules", "fetch", "robot.yaml")
     shown = thorvaldc("why", "robot.yaml", "links.plate_body.inertial.mass").out
