@@ -151,7 +151,7 @@ def _kinds(sources: Iterable[SourcedMass]) -> str:
 def _size(size: Size) -> FactTable:
     clearance = _length(size.ground_clearance)
     if clearance is not None and size.lowest_module:
-        clearance += f" (`{size.lowest_module}`)"
+        clearance += f" ({size.lowest_module})"
     count = len(size.meshes_left_out)
     return _values(
         "size",
