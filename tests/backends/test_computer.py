@@ -141,6 +141,20 @@ def test_zenoh_has_its_discovery_elsewhere(tmp_path: Path, setting: str) -> None
     assert (error.code.name, setting.split(":")[0] in error.message) == ("conflicting-keys", True)
 
 
+def test_the_service_has_the_page_of_the_driver(tmp_path: Path) -> None:
+    files, _ = files_of(tmp_path, f"{GOOD}computer: {{status_port: 8080}}\n")
+    start = sections(files["systemd/thorvaldc-good.service"])["Service"]["ExecStart"]
+    assert start.endswith(" --name /run/thorvaldc/good/control --status-port 8080")
+    path = tmp_path / "good.yaml"
+    for section, code in (
+        ("{status_port: 8080, ros: {workspace: /opt/ws}}", "conflicting-keys"),
+        ("{status_port: 80}", "out-of-range"),
+    ):
+        path.write_text(f"{GOOD}computer: {section}\n", encoding="utf-8")
+        (error,) = compile_file(path).report.errors
+        assert (error.code.name, error.span.line) == (code, GOOD.count("\n") + 1)
+
+
 def test_a_peer_that_is_no_address_is_an_error(tmp_path: Path) -> None:
     path = tmp_path / "good.yaml"
     section = "computer: {ros: {workspace: /opt/ws, peers: ['a b; rm']}}\n"

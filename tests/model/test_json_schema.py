@@ -30,6 +30,7 @@ FINGERPRINTS = {
     11: "12f0de925b7a4a74",
     12: "aba667ae81428e75",
     13: "1f486205ccc8da90",
+    14: "bf009fcf802423d8",
 }
 
 SCHEMA = model_schema()

@@ -194,6 +194,8 @@ def _service(robot: Robot, computer: Computer, file: str) -> str:
         f"{computer.program} run {model} --bus {bus_option(computer)} "
         f"--name {CONTROL.format(name=name)}"
     )
+    if computer.status_port is not None:
+        start += f" --status-port {computer.status_port}"
     entries: list[tuple[str, object]] = [
         ("User", computer.user),
         ("WorkingDirectory", f"{folder}/robot"),

@@ -74,6 +74,7 @@ class Computer:
     - ``joystick``: the joystick that becomes `/dev/joystick`, or ``None``.
     - ``ros``: how ROS 2 is started, or ``None`` if the runtime is started without ROS 2.
     - ``time_servers``: NTP servers, or empty for those of the operating system.
+    - ``status_port``: port of the page with the state of the base driver, or ``None`` for no page.
     """
 
     user: str
@@ -83,3 +84,4 @@ class Computer:
     joystick: UsbDevice | None = None
     ros: RosStart | None = None
     time_servers: tuple[str, ...] = ()
+    status_port: int | None = None

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 from tests.cli.conftest import GOOD
 from tests.container import record_session
@@ -28,6 +29,8 @@ PROGRAM, ASKING = (f"/opt/thorvaldc-env/bin/{name}" for name in ("thorvaldc", "a
 UNIT = "thorvaldc-good.service"
 FILE = Path("/etc/thorvaldc/good/current/robot/good.yaml")
 BUS = "/run/can.sock"
+PAGE = "http://127.0.0.1:8321/state"
+ROBOT = f"{GOOD}computer: {{status_port: 8321}}\n"
 SPEED = 0.5
 """Commanded speed (m/s)."""
 PATIENCE = 60.0
@@ -127,7 +130,7 @@ def driver() -> int:
 
 def session(record: dict[str, Any]) -> None:
     os.chdir(Path.home())
-    Path("good.yaml").write_text(GOOD, encoding="utf-8")
+    Path("good.yaml").write_text(ROBOT, encoding="utf-8")
     robot = compile_file(Path("good.yaml")).model
     assert isinstance(robot, Robot)
     subprocess.run(["useradd", "--system", "--user-group", "robot"], check=True)
@@ -150,11 +153,13 @@ def session(record: dict[str, Any]) -> None:
         process = driver()
         record["started"] = {**state(), "moved": wheels.moved}
         record["process"] = run("ps", "-o", "user=,cls=,rtprio=", "-p", str(process))
+        record["page"] = until("the page", lambda: urlopen(PAGE, timeout=5.0).read().decode())
+        record["page_process"] = run("ps", "-o", "user=,cls=", "--ppid", str(process))
         record["status"] = run(PROGRAM, "status")
         drive(wheels)
         record["armed"] = run(ASKING, "install", "other.yaml")
         disarm()
-        Path("good.yaml").write_text(GOOD + "# another version\n", encoding="utf-8")
+        Path("good.yaml").write_text(ROBOT + "# another version\n", encoding="utf-8")
         record["running"] = run(ASKING, "install", "good.yaml")
         driver()
         good = FILE.read_text(encoding="utf-8")

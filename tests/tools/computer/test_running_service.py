@@ -46,6 +46,11 @@ def test_the_service_starts_disarmed_as_its_user(record: dict[str, Any]) -> None
     assert "service active (running)" in record["status"][1]
 
 
+def test_its_page_is_served_beside_the_control_cycle(record: dict[str, Any]) -> None:
+    assert '"driver", ' in record["page"]
+    assert record["page_process"][1].split() == ["robot", "TS"]
+
+
 def test_an_installation_disturbs_no_driver(record: dict[str, Any]) -> None:
     """Armed, the robot keeps its version; disarmed, its bus belongs to the driver."""
     status, text = record["armed"]

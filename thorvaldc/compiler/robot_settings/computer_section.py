@@ -31,6 +31,8 @@ def read_computer(
     ports = tuple((name, _device(entry)) for name, entry in section["ports"].items())
     joystick = _device(section["joystick"]) if "joystick" in section else None
     _check_devices(section, report)
+    if "status_port" in section and "ros" in section:
+        _report_ineffective("status_port", section, "ros", "whose base driver has topics", report)
     return Computer(
         section["user"],
         section["program"],
@@ -39,6 +41,7 @@ def read_computer(
         joystick,
         _ros_start(section["ros"], report) if "ros" in section else None,
         tuple(section["time_servers"]),
+        section["status_port"],
     )
 
 
@@ -51,15 +54,19 @@ def _ros_start(ros: Section, report: Report) -> RosStart:
     middleware = ros["middleware"]
     for key in ("discovery", "peers"):
         if middleware.startswith(_ZENOH) and key in ros:
-            report.add(
-                "conflicting-keys",
-                f"`{key}` has no effect with `{middleware}`, which has a configuration file of"
-                " its own for it",
-                ros.entry(key).span,
-                hint=removal(f"remove `{key}`", ros.node, key),
-            )
+            why = "which has a configuration file of its own for it"
+            _report_ineffective(key, ros, middleware, why, report)
     return RosStart(
         ros["workspace"], ros["domain"], middleware, ros["discovery"], tuple(ros["peers"])
+    )
+
+
+def _report_ineffective(key: str, section: Section, other: str, why: str, report: Report) -> None:
+    report.add(
+        "conflicting-keys",
+        f"`{key}` has no effect with `{other}`, {why}",
+        section.entry(key).span,
+        hint=removal(f"remove `{key}`", section.node, key),
     )
 
 
