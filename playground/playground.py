@@ -29,8 +29,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from thorvaldc import __version__
 from thorvaldc.comparison.robot_comparison import compare_models
 from thorvaldc.compiler.modules.module_tree import Instance
+from thorvaldc.compiler.output.writer import MANIFEST, manifest
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.validation.document_check import check, kind_of
@@ -256,9 +258,18 @@ class Playground:
             return {"kind": "file", "base64": base64.b64encode(data).decode()}
 
     def _archive(self, message: Message) -> Message:
+        """Packs what a build writes: the files, and a manifest if the robot has no errors."""
+        files, compilation = dict(self._files), self._compiled.compilation
+        if self._compiled.is_good and compilation is not None and compilation.model is not None:
+            files[MANIFEST] = manifest(
+                files,
+                name=compilation.model.name,
+                source_sha256=compilation.source_sha256,
+                version=__version__,
+            )
         stream = io.BytesIO()
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-            for path, data in sorted(self._files.items()):
+            for path, data in sorted(files.items()):
                 archive.writestr(zipfile.ZipInfo(path, DATE), data, zipfile.ZIP_DEFLATED)
         return {"kind": "archive", "base64": base64.b64encode(stream.getvalue()).decode()}
 

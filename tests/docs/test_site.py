@@ -45,6 +45,17 @@ def test_every_link_and_anchor_exists(site: Path) -> None:
     assert list(dead_links(site)) == []
 
 
+def test_a_site_without_the_playground_has_no_link_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a computer without npm."""
+    monkeypatch.syspath_prepend(ROOT / "workshop" / "site")
+    from playground_links import without_links
+
+    text = (ROOT / "docs" / "playground.md").read_text(encoding="utf-8")
+    assert "playground/index.html" in text
+    assert "playground/index.html" not in without_links(text)
+    assert "contains it: open the playground. In" in without_links(text)
+
+
 @pytest.mark.slow
 def test_the_files_for_language_models(site: Path) -> None:
     """Every page of the navigation, with its text in Markdown."""

@@ -124,7 +124,9 @@ def built(page: Page) -> dict[str, bytes]:
     ask(page, "build", targets=TARGETS)
     archive = base64.b64decode(ask(page, "archive")["base64"])
     with zipfile.ZipFile(io.BytesIO(archive)) as packed:
-        return {name: packed.read(name) for name in packed.namelist()}
+        files = {name: packed.read(name) for name in packed.namelist()}
+    assert sorted(json.loads(files.pop("manifest.json"))["files"]) == sorted(files)
+    return files
 
 
 def test_the_first_robot_and_its_size(visit: Visit) -> None:

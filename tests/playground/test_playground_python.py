@@ -15,7 +15,8 @@ from typing import Any
 
 import pytest
 
-from thorvaldc import backends
+from thorvaldc import __version__, backends
+from thorvaldc.compiler.output.writer import MANIFEST, write_build
 from thorvaldc.compiler.pipeline import compile_file, emit, load
 from thorvaldc.tools.preview import page_drive
 
@@ -150,7 +151,7 @@ def test_a_file_without_modules_gets_none(text: str) -> None:
     assert "no section `modules`" in answer["reason"]
 
 
-def test_the_built_files_are_those_of_a_build(page: Page) -> None:
+def test_the_built_files_are_those_of_a_build(page: Page, tmp_path: Path) -> None:
     targets = backends.names()
     answer = page.ask("build", "files", targets=targets)
     built = emit(load(ROOT / "examples/4wd4ws_wide/robot.yaml"), targets)
@@ -159,7 +160,16 @@ def test_the_built_files_are_those_of_a_build(page: Page) -> None:
     }
     archive = page.ask("archive", "archive")["base64"]
     with zipfile.ZipFile(io.BytesIO(base64.b64decode(archive))) as packed:
-        assert {name: packed.read(name) for name in packed.namelist()} == built
+        files = {name: packed.read(name) for name in packed.namelist()}
+    write_build(
+        built,
+        tmp_path / "out",
+        name="thorvald_4wd4ws_wide",
+        source_sha256=compile_file(ROOT / "examples/4wd4ws_wide/robot.yaml").source_sha256,
+        version=__version__,
+    )
+    assert files.pop(MANIFEST) == (tmp_path / "out" / MANIFEST).read_bytes()
+    assert files == built
     text = page.ask("file", "file", path="urdf/robot.urdf")["text"]
     assert text.encode() == built["urdf/robot.urdf"]
     mesh = next(path for path in built if path.endswith(".stl"))

@@ -111,6 +111,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
         text = playground_links.with_links(text, playground)
         if start.parts[:1] == ("examples",):
             text = playground_links.with_example_link(text, ROOT / start, playground)
+    else:
+        text = playground_links.without_links(text)
     return text
 
 

@@ -38,6 +38,11 @@ def with_links(markdown: str, playground: str) -> str:
     return BLOCK.sub(linked, markdown)
 
 
+def without_links(markdown: str) -> str:
+    """Replaces links to the playground of the site, which lacks it, by their text."""
+    return re.sub(r'<a href="[^"]*playground/index\.html[^"]*">(.*?)</a>', r"\1", markdown)
+
+
 def with_example_link(markdown: str, example: Path, playground: str) -> str:
     """Adds a link below the title of the page of an example, if the playground has the example.
 
