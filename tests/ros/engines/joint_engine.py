@@ -32,6 +32,7 @@ from typing import Any, NoReturn, Protocol
 import rclpy
 from builtin_interfaces.msg import Time
 from nav_msgs.msg import Odometry
+from rclpy.executors import SingleThreadedExecutor, TimeoutException
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -167,6 +168,8 @@ class JointEngine:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.world, self.cycle_rate, self.clock_rate = world, cycle_rate, clock_rate
         self.node = rclpy.create_node(name, namespace=options.namespace)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
         self.factor, self.lockstep = options.factor, options.lockstep
         self.faults = Faults()
         self.statistics = Statistics([])
@@ -316,7 +319,7 @@ class JointEngine:
             left = end - time.monotonic()
             if left <= 0.0:
                 break
-            rclpy.spin_once(self.node, timeout_sec=min(left, 0.05))
+            self._take_message(min(left, 0.05))
 
     def _may_continue(self) -> bool:
         now = self.world.time_ns * 1e-9
@@ -326,11 +329,22 @@ class JointEngine:
     def _drain(self) -> None:
         """Takes what came before this cycle, at most a queue of each topic."""
         for _ in range(10 * (1 + len(self.statistics.channels))):
-            rclpy.spin_once(self.node, timeout_sec=0.0)
+            if not self._take_message(0.0):
+                break
+
+    def _take_message(self, longest: float) -> bool:
+        """Waits for a message for at most ``longest`` s; returns whether one was taken."""
+        try:
+            handler, _, _ = self._executor.wait_for_ready_callbacks(longest)
+        except TimeoutException:
+            return False
+        handler()
+        handler.result()  # raises its error
+        return True
 
     def _spin_until(self, deadline: float) -> None:
         while not self.stopped and (left := deadline - time.monotonic()) > 0.0:
-            rclpy.spin_once(self.node, timeout_sec=min(left, 0.05))
+            self._take_message(min(left, 0.05))
 
 
 def stamp(time_ns: int) -> Time:
