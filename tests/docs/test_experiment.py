@@ -9,6 +9,8 @@ from types import ModuleType
 
 import pytest
 
+from tests.slow import mostly_slow
+
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "odometry_experiment"
 
 
@@ -37,8 +39,7 @@ def test_the_table_has_every_case(experiment: ModuleType) -> None:
     assert sorted(shown()) == sorted(names)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("case", ["ideal", "radii", "offsets", "rough"])
+@pytest.mark.parametrize("case", mostly_slow(["ideal", "offsets", "radii", "rough"], 0, 2))
 def test_the_script_prints_the_rows_of_the_table(experiment: ModuleType, case: str) -> None:
     rows, _, samples = experiment.experiment(case)
     for name, true, odometry, end_error, random_pairs in rows:

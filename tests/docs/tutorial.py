@@ -60,6 +60,7 @@ VARYING = re.compile(r"(?<![\w.])(?:\d+x|[0-9a-f]{8}(?:[0-9a-f]{8})?)(?!\w)")
 """Speeds, and hashes of results, which depend on the computer."""
 AS_IN_A_TERMINAL = {"PYTHONUNBUFFERED": "1"}
 """Keeps the order of results and messages, as a person sees them."""
+IN_REAL_TIME = "chrt --reset-on-fork --fifo 20"
 LONGEST_COMMAND_S = 240.0  # `sim --plot` needs 45 s beside six other programs on two cores
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 
@@ -323,13 +324,29 @@ def with_output(page: str, printed: dict[int, str]) -> str:
 
 
 def programs_in(folder: Path) -> Path:
-    """Writes ``python``, ``pip`` and ``thorvaldc`` of this environment; returns the folder."""
+    """Writes ``python``, ``pip`` and ``thorvaldc`` of this environment; returns the folder.
+
+    What runs in real time, a driver and its simulated bus, has the priority of the service on a
+    robot where this computer permits it: then busy programs do not hold it up.
+    """
     folder.mkdir()
     for name, arguments in (("python", ""), ("pip", "-m pip "), ("thorvaldc", "-m thorvaldc ")):
+        command = f'{sys.executable} {arguments}"$@"\n'
+        urgent = f"case $1 in bus|run) exec {IN_REAL_TIME} {command};; esac\n"
+        is_urgent = name == "thorvaldc" and may_run_in_real_time()
         script = folder / name
-        script.write_text(f'#!/bin/sh\nexec {sys.executable} {arguments}"$@"\n', encoding="utf-8")
+        text = f"#!/bin/sh\n{urgent if is_urgent else ''}exec {command}"
+        script.write_text(text, encoding="utf-8")
         script.chmod(0o755)
     return folder
+
+
+def may_run_in_real_time() -> bool:
+    try:
+        command = [*IN_REAL_TIME.split(), "true"]
+        return subprocess.run(command, capture_output=True, check=False).returncode == 0
+    except OSError:  # no util-linux
+        return False
 
 
 def ros_programs_in(folder: Path) -> None:

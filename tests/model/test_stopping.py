@@ -203,8 +203,16 @@ GRID = list(combinations(range(0, 40, 6), 2))
 """Control cycles of a stop after which two gaps begin."""
 
 
-@pytest.mark.parametrize("make", [robot, cia402], ids=["Thorvald script", "CiA 402"])
-@pytest.mark.parametrize("grid", [[(5, 8)], pytest.param(GRID, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("make", "grid"),
+    [
+        (robot, [(5, 8)]),
+        (cia402, [(5, 8)]),
+        pytest.param(robot, GRID, marks=pytest.mark.slow),
+        pytest.param(cia402, GRID, marks=pytest.mark.exhaustive),
+    ],
+    ids=["Thorvald script", "CiA 402", "Thorvald script, all", "CiA 402, all"],
+)
 def test_a_stop_with_two_gaps_keeps_its_bound(
     make: Callable[[str], Robot], grid: list[tuple[int, int]]
 ) -> None:

@@ -122,7 +122,7 @@ class Session:
         settle(page)
 
 
-@pytest.mark.parametrize("seed", mostly_slow(range(4), quick=1, slow=3))
+@pytest.mark.parametrize("seed", mostly_slow(range(4), quick=1, slow=1))
 def test_no_text_is_lost(context: BrowserContext, address: str, seed: int, tmp_path: Path) -> None:  # noqa: F811
     Session(context, address, seed, tmp_path).run(25)
 

@@ -1,6 +1,7 @@
 """Plays the scripts of partners to the node of the base driver, and says what the robot did.
 
-``python -m tests.ros.partners_rig PACKAGES SCRIPTS.yaml NAME DISTRO`` prints the answers as JSON.
+``python -m tests.ros.partners_rig PACKAGES SCRIPTS.yaml DISTRO NAME...`` prints the answers to each
+script as JSON.
 Nothing depends on real time: the node, with the base `ideal`, runs a control cycle of 20 ms for
 each step of the script; each step ends when the messages have arrived.  The clock with which the
 node watches /clock is that of the script too.
@@ -352,7 +353,7 @@ PAUSE = "auto_nav_pause"
 NAV2: dict[str, Any] = {}
 
 
-def main(folder: str, file: str, name: str, distro: str) -> None:
+def main(folder: str, file: str, distro: str, *names: str) -> None:
     partner = yaml.safe_load(Path(file).read_text())
     config = Path(folder) / "plain" / "config"
     nav2 = yaml.safe_load((config / "nav2.yaml").read_text())
@@ -360,14 +361,24 @@ def main(folder: str, file: str, name: str, distro: str) -> None:
         NAV2.update(nav2[node]["ros__parameters"])
     driver = yaml.safe_load((config / "base_driver.yaml").read_text())
     stamped = driver["/base_driver"]["ros__parameters"]["stamped"]
-    script = {**partner, **partner["scripts"][name]}
-    answers: dict[str, list[str]] = {}
-    sources = [TOPICS[script["source"]]] if script["source"] in TOPICS else [JOYSTICK, ANY_FIRST]
-    for source in sources if distro in script.get("distros", [distro]) else []:
-        rig = PartnersRig(Path(folder), script, stamped, source)
+    answers: dict[str, dict[str, list[str]]] = {}
+    for name in names:
+        print(f"the script {name}", file=sys.stderr)  # a traceback is of the last one
+        script = {**partner, **partner["scripts"][name]}
+        if distro in script.get("distros", [distro]):
+            answers[name] = answers_to(script, Path(folder), stamped)
+    print(json.dumps(answers))
+
+
+def answers_to(script: Script, folder: Path, stamped: bool) -> dict[str, list[str]]:
+    """Returns the answers to the expectations of a script, for each source that it is played to."""
+    topic = TOPICS.get(script["source"])
+    answers = {}
+    for source in [topic] if topic else [JOYSTICK, ANY_FIRST]:
+        rig = PartnersRig(folder, script, stamped, source)
         answers[source] = rig.play()
         rig.close()
-    print(json.dumps(answers))
+    return answers
 
 
 if __name__ == "__main__":

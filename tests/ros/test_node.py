@@ -264,35 +264,38 @@ def test_mission_over_topics_follows_the_path_of_the_mission_without_ros(
     assert result["distance"] < 1e-3
 
 
+WRONG_PARAMETERS: list[tuple[dict[str, Any], str]] = [
+    ({"model_file": "/nowhere/model.json"}, "error: cannot read /nowhere/model.json: No such"),
+    ({"model_file": "/"}, "error: model_file is /, a folder; expected the model.json of"),
+    ({"base": "gazebo"}, "error: base is 'gazebo'; expected ideal, mujoco, virtual, bus, topics"),
+    ({"twist_covariance": "best"}, "twist_covariance is 'best'; expected measured, for_filters"),
+    ({"base": "bus", "bus": "sim:nobody"}, "error: cannot use the bus `sim:nobody`: "),
+    ({"rate": 10.0}, "error: rate is 10 Hz; the model has 50 Hz: change `driver.rate`"),
+    ({"max_linear_velocity": 5.0}, "max_linear_velocity"),
+    ({"max_linear_velocity": 1e6}, "max_linear_velocity"),
+    ({"max_angular_acceleration": 99.0}, "max_angular_acceleration"),
+    ({"command_timeout": 60.0}, "command_timeout"),
+    ({"parameter_set": "rails"}, "has no parameter set `rails`; did you mean `rail`?"),
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"model_file": ""}, "error: the parameter model_file is missing: --ros-args -p model"),
-        ({"model_file": "/nowhere/model.json"}, "error: cannot read /nowhere/model.json: No such"),
-        ({"model_file": "/"}, "error: model_file is /, a folder; expected the model.json of"),
-        (
-            {"base": "gazebo"},
-            "error: base is 'gazebo'; expected ideal, mujoco, virtual, bus, topics",
-        ),
-        (
-            {"twist_covariance": "best"},
-            "twist_covariance is 'best'; expected measured, for_filters",
-        ),
-        ({"base": "bus", "bus": "sim:nobody"}, "error: cannot use the bus `sim:nobody`: "),
-        ({"rate": 10.0}, "error: rate is 10 Hz; the model has 50 Hz: change `driver.rate`"),
-        ({"max_linear_velocity": 5.0}, "max_linear_velocity"),
-        ({"max_linear_velocity": 1e6}, "max_linear_velocity"),
-        ({"max_angular_acceleration": 99.0}, "max_angular_acceleration"),
-        ({"command_timeout": 60.0}, "command_timeout"),
-        ({"parameter_set": "rails"}, "has no parameter set `rails`; did you mean `rail`?"),
-    ],
-)
-def test_wrong_parameters_are_one_line(
-    distro: str, build: Path, tmp_path: Path, parameters: dict[str, Any], message: str
+def test_wrong_parameters_are_one_line(distro: str, build: Path, tmp_path: Path) -> None:
+    defaults = {"model_file": str(build / "model.json"), "base": "ideal"}
+    cases = json.dumps([{**defaults, **parameters} for parameters, _ in WRONG_PARAMETERS])
+    answers = json.loads(run_client(distro, "wrong_parameters", tmp_path, cases))
+    for (parameters, message), (status, error) in zip(WRONG_PARAMETERS, answers, strict=True):
+        assert status == 1, parameters
+        assert message in error, parameters
+        assert len(error.splitlines()) == 1, error
+
+
+@pytest.mark.slow
+def test_a_node_without_a_model_ends_with_one_line(
+    distro: str, build: Path, tmp_path: Path
 ) -> None:
-    with node(distro, build, tmp_path, **{"base": "ideal", **parameters}) as process:
+    with node(distro, build, tmp_path, base="ideal", model_file="") as process:
         _, err = process.communicate(timeout=300)
     assert process.returncode == 1
-    assert message in err
+    assert "error: the parameter model_file is missing: --ros-args -p model" in err
     assert "Traceback" not in err

@@ -10,6 +10,7 @@ import pytest
 from tests.examples import SAMPLED_ROBOTS, example_robot
 from tests.ros.environments import each_distro
 from tests.ros.test_node import run_client
+from tests.slow import mostly_exhaustive
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.ros.parameters import DIALECTS
 
@@ -34,7 +35,7 @@ def each_dialect() -> pytest.MarkDecorator:
 
 
 @pytest.mark.slow
-@each_dialect()
+@pytest.mark.parametrize("dialect", mostly_exhaustive(DIALECTS))
 def test_wrong_joint_states_are_faults_with_their_reasons(
     distro: str, dialect: str, tmp_path: Path
 ) -> None:

@@ -19,6 +19,7 @@ shortest one, and ``script`` writes it as a mission for tests/chaos.
 from __future__ import annotations
 
 import functools
+import gc
 import json
 import math
 import re
@@ -146,7 +147,14 @@ class Exploration:
 
 def explore(configuration: Configuration, limit: int = sys.maxsize) -> Exploration:
     """Explores until no state is new.  Raises ``Violation`` with its shortest path of events."""
-    return _Explorer(configuration).run(limit)
+    # The states contain no cycles, and a garbage collection looks at all of them.
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        return _Explorer(configuration).run(limit)
+    finally:
+        if collects:
+            gc.enable()
 
 
 class _Explorer:
@@ -154,12 +162,25 @@ class _Explorer:
         self.configuration = configuration
         self.rules = configuration.rules()
         self.actions: list[tuple[str, Action]] = list(self._actions())
+        self._stoppers = functools.cache(self._stoppers_of)
 
     def run(self, limit: int) -> Exploration:
         rules, actions = self.rules, self.actions
-        class_of = rules.class_of
-        first = class_of(rules.start(armed=False), NOW), Judge(by_itself=rules.automatic)
+        # Most events lead to a value that other events have led to: its class is computed once.
+        # Of equal classes and of equal judges one object is kept: states are compared by identity.
+        classes: dict[Permission, Permission] = {}
+        judges: dict[Judge, Judge] = {}
+
+        @functools.cache
+        def class_of(value: Permission) -> Permission:
+            of_value = rules.class_of(value, NOW)
+            return classes.setdefault(of_value, of_value)
+
+        begin = Judge(by_itself=rules.automatic)
+        judges[begin] = begin
+        first = class_of(rules.start(armed=False)), begin
         states: dict[State, tuple[State, str] | None] = {first: None}
+        seen = {(id(first[0]), id(begin))}
         queue, transitions = [first], 0
         while queue:
             following: list[State] = []
@@ -169,10 +190,17 @@ class _Explorer:
                     try:
                         for changed, noted in action(value, judge):
                             transitions += 1
-                            if changed is value and noted is judge:
-                                continue
-                            new = (class_of(changed, NOW), noted)
-                            if new not in states:
+                            if changed is value:
+                                if noted is judge:
+                                    continue
+                                new_class = value
+                            else:
+                                new_class = class_of(changed)
+                            new_judge = judge if noted is judge else judges.setdefault(noted, noted)
+                            key = id(new_class), id(new_judge)
+                            if key not in seen:
+                                seen.add(key)
+                                new = new_class, new_judge
                                 states[new] = state, name
                                 following.append(new)
                     except Violation as violation:
@@ -287,16 +315,21 @@ class _Explorer:
 
     def _named(self, value: Permission, judge: Judge, answer: Answer) -> State:
         """Whoever stops the robot is named, and nobody else; so the base is stopped."""
-        rules = self.rules
         if answer.stop is not None:
             judge = judge._replace(base_stopped=answer.stop)
         service = any(k == SERVICE_STOP for k, _ in judge.holders)
         check(judge.base_stopped == service, "the base is stopped, and nobody stops it")
         holders = {name for k, name in judge.holders if self._is_stop(k)}
-        named = {ENDED if n.endswith(ENDED) else n for n in rules.stopped_by(value, NOW)}
+        named, stopped = self._stoppers(value)
         check(named == holders, f"{sorted(holders)} stop the robot, named are {sorted(named)}")
-        check(bool(rules.stops(value, NOW)) == bool(holders), "a stop is no reason against arming")
+        check(stopped == bool(holders), "a stop is no reason against arming")
         return value, judge
+
+    def _stoppers_of(self, value: Permission) -> tuple[frozenset[str], bool]:
+        """Returns who is named as stopping the robot, and whether a stop is active."""
+        names = self.rules.stopped_by(value, NOW)
+        named = frozenset(ENDED if name.endswith(ENDED) else name for name in names)
+        return named, bool(self.rules.stops(value, NOW))
 
     def _end(self, owner: str) -> Action:
         def act(value: Permission, judge: Judge) -> Iterator[State]:

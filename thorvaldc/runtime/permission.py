@@ -229,7 +229,8 @@ class Rules:
 
     def stops(self, value: Permission, now: float) -> list[int]:
         """Returns the active stop locks."""
-        return [k for k in self.active_locks(value, now)[0] if self.locks[k].is_stop_lock]
+        active, barrier = self.active_locks(value, now)
+        return [k for k in active if self.locks[k].is_stop_lock] if barrier == math.inf else []
 
     def stopped_by(self, value: Permission, now: float) -> list[str]:
         """Returns who stops the robot: programs, and the silence of stop locks."""

@@ -11,6 +11,9 @@ faults from ``/engine/fault``, a std_msgs/String with JSON::
     {"freeze": true}       the same values with new stamps
     {"factor": 2.0}        speed relative to real time; 0: as fast as possible
 
+With ``--lockstep``, a cycle waits for its commands, and for a client that says on
+``/engine/continue``, a std_msgs/Float64, for which time (s) it has sent its twists.
+
 At SIGTERM or SIGINT it prints its statistics as one line of JSON.
 """
 
@@ -29,10 +32,11 @@ from typing import Any, NoReturn, Protocol
 import rclpy
 from builtin_interfaces.msg import Time
 from nav_msgs.msg import Odometry
+from rclpy.executors import SingleThreadedExecutor, TimeoutException
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Float64, String
 
 LOCKSTEP_TIMEOUT = 1.0  # s, real time
 Motions = dict[str, tuple[float, float]]
@@ -164,13 +168,17 @@ class JointEngine:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.world, self.cycle_rate, self.clock_rate = world, cycle_rate, clock_rate
         self.node = rclpy.create_node(name, namespace=options.namespace)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
         self.factor, self.lockstep = options.factor, options.lockstep
         self.faults = Faults()
         self.statistics = Statistics([])
         self._reset_due = False
         self._frozen: Motions | None = None
         self._engine_ns = 0  # total, without the jumps of resets
+        self._continued: float | None = None  # s, time up to which a client has sent its twists
         self.node.create_subscription(String, "/engine/fault", self._hear_fault, 10)
+        self.node.create_subscription(Float64, "/engine/continue", self._hear_continue, 1)
         self._clock = self.node.create_publisher(Clock, "/clock", 10) if world.has_clock else None
         self._truth = self.node.create_publisher(Odometry, "odometry/true", 10)
         self._states: Any = None
@@ -197,6 +205,9 @@ class JointEngine:
 
     def _stop(self, number: int, frame: Any) -> None:
         self.stopped = True
+
+    def _hear_continue(self, message: Float64) -> None:
+        self._continued = message.data
 
     def _hear_fault(self, message: String) -> None:
         try:
@@ -304,20 +315,36 @@ class JointEngine:
 
     def _wait_for_commands(self) -> None:
         end = time.monotonic() + LOCKSTEP_TIMEOUT
-        while not self.statistics.is_complete() and not self.stopped and not self.faults.pause:
+        while not self._may_continue() and not self.stopped and not self.faults.pause:
             left = end - time.monotonic()
             if left <= 0.0:
                 break
-            rclpy.spin_once(self.node, timeout_sec=min(left, 0.05))
+            self._take_message(min(left, 0.05))
+
+    def _may_continue(self) -> bool:
+        now = self.world.time_ns * 1e-9
+        is_ahead = self._continued is not None and self._continued < now - 1e-6
+        return self.statistics.is_complete() and not is_ahead
 
     def _drain(self) -> None:
         """Takes what came before this cycle, at most a queue of each topic."""
         for _ in range(10 * (1 + len(self.statistics.channels))):
-            rclpy.spin_once(self.node, timeout_sec=0.0)
+            if not self._take_message(0.0):
+                break
+
+    def _take_message(self, longest: float) -> bool:
+        """Waits for a message for at most ``longest`` s; returns whether one was taken."""
+        try:
+            handler, _, _ = self._executor.wait_for_ready_callbacks(longest)
+        except TimeoutException:
+            return False
+        handler()
+        handler.result()  # raises its error
+        return True
 
     def _spin_until(self, deadline: float) -> None:
         while not self.stopped and (left := deadline - time.monotonic()) > 0.0:
-            rclpy.spin_once(self.node, timeout_sec=min(left, 0.05))
+            self._take_message(min(left, 0.05))
 
 
 def stamp(time_ns: int) -> Time:

@@ -7,6 +7,7 @@ that of the engine.  An empty name space is written as ``-``.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import math
@@ -17,6 +18,7 @@ from typing import Any
 import rclpy
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
+from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
@@ -109,11 +111,20 @@ class Robot:
         return {"path": self.path, "distance": distance, "yaw": yaw, **places}
 
 
+@functools.cache
+def executor_of(node: Any) -> SingleThreadedExecutor:
+    """Returns the executor of a node; ``rclpy.spin_once`` adds the node at each call, which takes
+    longer than most callbacks."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    return executor
+
+
 def wait(node: Any, what: str, condition: Any) -> None:
     end = time.monotonic() + TIMEOUT
     while not condition():
         assert time.monotonic() < end, what
-        rclpy.spin_once(node, timeout_sec=0.05)
+        executor_of(node).spin_once(timeout_sec=0.05)
 
 
 def call(node: Any, client: Any, request: Any) -> Any:

@@ -147,9 +147,9 @@ def test_the_base_driver_knows_where_the_robot_is(
     distro: str, dialect: str, tmp_path: Path
 ) -> None:
     package, scene = build(tmp_path), str(tmp_path / "mjcf" / "scene.xml")
-    engine = arguments(package, "--mujoco", scene, "--lockstep")
+    engine = arguments(package, "--mujoco", scene, *FAST)
     if dialect == "joint_states":
-        engine = ["-m", "tests.ros.engines.joint_state_engine", "--scene", scene, "--lockstep"]
+        engine = ["-m", "tests.ros.engines.joint_state_engine", "--scene", scene, *FAST]
         for option, topic in (("speed", "speeds"), ("angle", "angles"), ("state", "states")):
             engine += [f"--{option}-topic", f"engine/joint_{topic}"]
     with (

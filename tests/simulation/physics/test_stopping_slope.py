@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -17,7 +20,6 @@ from bench.stopping_slope import (
     stopping_distances,
 )
 from tests.examples import example_robot
-from tests.slow import one_quick_of
 from thorvaldc.model.statics.slope import directions_of
 
 pytest.importorskip("mujoco")
@@ -64,14 +66,23 @@ def test_a_tall_robot_does_not_tip_over_on_the_stated_slope(driver: str, directi
     assert steepest_stop(TALL, direction, driver=driver).longer < 0.03
 
 
-@pytest.mark.parametrize("gentle", [False, True], ids=["own_ramp", "gentle"])
-@pytest.mark.parametrize("block", [False, True], ids=["as_it_is", "loaded"])
-@pytest.mark.parametrize(
-    ("name", "direction"),
-    one_quick_of(
-        12, [(name, way) for name in FAMILIES for way in directions_of(example_robot(name))]
-    ),
-)
+def stops() -> Iterator[Any]:
+    """Yields each robot, direction, load and ramp.
+
+    One of twelve pairs of robot and direction is quick.  Of the other pairs, CI has two of the four
+    combinations of load and ramp, by turns, so that each load and each ramp is among them.
+    """
+    ways = [(name, way) for name in FAMILIES for way in directions_of(example_robot(name))]
+    for index, (name, way) in enumerate(ways):
+        for block, gentle in itertools.product((False, True), repeat=2):
+            is_in_ci = (block == gentle) == (index % 2 == 0)
+            group = pytest.mark.slow if is_in_ci else pytest.mark.exhaustive
+            kind = f"{'loaded' if block else 'as_it_is'}-{'gentle' if gentle else 'own_ramp'}"
+            marks = [group] if index % 12 else []
+            yield pytest.param(name, way, block, gentle, marks=marks, id=f"{name}-{way}-{kind}")
+
+
+@pytest.mark.parametrize(("name", "direction", "block", "gentle"), list(stops()))
 def test_the_stated_slope_holds(name: str, direction: str, block: bool, gentle: bool) -> None:
     """The stop is no longer than on level ground, and the robot does not tip over."""
     driver = f"{{max_linear_deceleration: {GENTLE} m/s^2}}" if gentle else ""

@@ -94,7 +94,8 @@ def test_a_slow_robot_passes(driver: str) -> None:
 
 
 # Two hundred assemblies: most on small robots, which take some seconds each.  The quick ones have
-# each error once; with the slow ones, each robot has each error.
+# each error once; with the slow ones, each robot has each error, but for `car`, which has several
+# controllers of Roboteq as `4wd2ws_tall` has.
 SEEDS = [
     *((seed, EXAMPLES[seed % 3]) for seed in range(170)),
     *((seed, EXAMPLES[3 + seed % 2]) for seed in range(170, 186)),
@@ -102,7 +103,7 @@ SEEDS = [
 ]
 
 QUICK_SEEDS = (1, 3, 5, 9, 12)
-SLOW_SEEDS = (7, 8, 13, 14, 19, 26, 79, 90, 171, 172, 173, 174, 176, 177, 181, 186, 188, 193, 195)
+SLOW_SEEDS = (7, 8, 13, 14, 19, 26, 79, 90, 171, 173, 177, 181, 186, 188, 193, 195)
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ from tests.browser import WAIT, chromium, wait_until
 from tests.child_process import ChildProcess
 from tests.commissioning import test_commission_page
 from tests.examples import example_robot
+from tests.slow import mostly_exhaustive
 from thorvaldc.commissioning.commission_page import page_of
 from thorvaldc.comparison.robot_comparison import compare_robots
 from thorvaldc.compiler.pipeline import emit
@@ -257,7 +258,7 @@ def test_a_robot_drives_in_the_world_of_a_scenario(browser: Browser) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", SIZES, ids=IDS)
+@pytest.mark.parametrize("size", mostly_exhaustive(SIZES), ids=IDS)
 def test_the_page_is_accessible(
     preview: Preview, browser: Browser, axe: str, size: tuple[int, int]
 ) -> None:

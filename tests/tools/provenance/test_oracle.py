@@ -95,14 +95,16 @@ def test_an_output_without_its_marks_is_the_output(name: str) -> None:
         assert texts == [re.sub(r"[ -]+", " ", line) for line in content], file
 
 
+OTHERS = ("4wd2ws_tall", "jk_bms", "rocker_bogie")
+
+
 @pytest.mark.parametrize(
     ("name", "count"),
     [
         ("lss", 10),
-        *(
-            pytest.param(name, 50, marks=pytest.mark.slow)
-            for name in ("4wd4ws_wide", "4wd2ws_tall", "jk_bms", "rocker_bogie")
-        ),
+        pytest.param("4wd4ws_wide", 50, marks=pytest.mark.slow),
+        *(pytest.param(name, 10, marks=pytest.mark.slow) for name in OTHERS),
+        *(pytest.param(name, 50, marks=pytest.mark.exhaustive) for name in OTHERS),
     ],
 )
 def test_changed_lines_are_named(name: str, count: int) -> None:

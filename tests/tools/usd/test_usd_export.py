@@ -28,6 +28,8 @@ from thorvaldc.model.statics.joint_tree import tree_of
 ROOT = Path(__file__).resolve().parents[3]
 READER = Path(__file__).with_name("usd_reader.py")
 WIDE = "4wd4ws_wide"
+# In one process: the converter writes each robot once.
+pytestmark = pytest.mark.xdist_group("usd")
 RULES = {"RigidBodyChecker", "ColliderChecker", "ArticulationChecker", "PhysicsJointChecker"}
 
 
