@@ -23,8 +23,9 @@ PERIOD = 0.02  # s
 SOURCE = "auto_nav"
 NAMES = {
     "rclpy": (),
-    "rclpy.clock": ("Clock", "ClockType"),
     "rclpy.duration": ("Duration",),
+    "rclpy.impl": (),
+    "rclpy.impl.implementation_singleton": ("rclpy_implementation",),
     "rclpy.node": ("Node",),
     "rclpy.parameter": ("Parameter",),
     "rclpy.qos": ("QoSProfile", "ReliabilityPolicy"),
