@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 
 from tests.ros.topic_rig import TopicRig
 from thorvaldc.ros.joint_guard import JointGuard
-from thorvaldc.ros.joint_messages import await_message
+from thorvaldc.ros.message_wait import handle_messages
 
 STOP = 3.0  # s: the ramp of the robot from 0.5 m/s, and the wait for joint states before it
 
@@ -45,11 +45,11 @@ def main() -> None:
     guard.destroy_node()
     waits: list[float] = []
 
-    def wait(node: Any, subscription: Any, longest: float) -> None:
+    def wait(node: Any, subscriptions: Any, longest: float) -> None:
         waits.append(longest)
-        await_message(node, subscription, longest)
+        handle_messages(node, subscriptions, longest=longest)
 
-    with patch("thorvaldc.ros.topic_base.await_message", wait):
+    with patch("thorvaldc.ros.topic_base.handle_messages", wait):
         rig.close()  # the engine is silent: the robot ends all the same
     assert 0.0 < sum(waits) < STOP, sum(waits)
 

@@ -24,7 +24,8 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from thorvaldc.model.joint_topics import HEARTBEAT
-from thorvaldc.ros.joint_messages import JointCommandTopics, await_message
+from thorvaldc.ros.joint_messages import JointCommandTopics
+from thorvaldc.ros.message_wait import handle_messages
 from thorvaldc.ros.node_parameters import declared, declared_model
 
 NODE_NAME = "joint_guard"
@@ -101,11 +102,11 @@ class JointGuard(Node):  # type: ignore[misc]
     def wait(self) -> float:
         return self._next_look - time.monotonic()
 
-    def await_states(self, longest: float) -> float:
+    def await_states(self, longest: float) -> float | None:
         """Waits for heartbeats; other messages are handled together, once per look."""
         end = time.monotonic() + longest
         while (left := end - time.monotonic()) > 0.0:
-            await_message(self, self._heartbeats, left)
+            handle_messages(self, [self._heartbeats], longest=left)
         return 0.0
 
     def run_due(self) -> None:

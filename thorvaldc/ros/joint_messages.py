@@ -19,7 +19,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from rclpy.duration import Duration
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
@@ -36,22 +35,6 @@ STATES_TOPICS = {
 """Topic of the joint states in each dialect."""
 _DELIVERY = 0.1
 """Longest real time (s) for which the end waits for each subscriber of commands."""
-
-
-def await_message(node: Any, subscription: Any, longest: float) -> None:
-    """Waits for a message of one subscription for at most ``longest`` s, and handles it.
-
-    The executor of rclpy would wait for all entities of the node, and each of them costs time.
-    """
-    handle = subscription.handle
-    with handle:
-        wait_set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, node.context.handle)
-        wait_set.clear_entities()
-        wait_set.add_subscription(handle)
-        wait_set.wait(round(longest * 1e9))
-        taken = handle.take_message(subscription.msg_type, subscription.raw)
-    if taken is not None:
-        subscription.callback(taken[0])
 
 
 class JointStateReader:

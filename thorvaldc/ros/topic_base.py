@@ -26,12 +26,8 @@ from sensor_msgs.msg import JointState
 
 from thorvaldc.model import Robot, wheel_joints
 from thorvaldc.model.joint_topics import HEARTBEAT
-from thorvaldc.ros.joint_messages import (
-    STATES_TOPICS,
-    JointCommandTopics,
-    JointStateReader,
-    await_message,
-)
+from thorvaldc.ros.joint_messages import STATES_TOPICS, JointCommandTopics, JointStateReader
+from thorvaldc.ros.message_wait import handle_messages
 from thorvaldc.ros.parameters import JOINT_STATES, default_silence
 from thorvaldc.runtime.base_interface import BaseHandle, ComponentStatus, JointCommands, JointStates
 from thorvaldc.runtime.driven_robot import DrivenRobot
@@ -159,7 +155,7 @@ class TopicBase(BaseHandle):
         """Waits until new joint states are taken, for at most ``longest`` s of real time."""
         end, messages = time.monotonic() + longest, self._messages
         while self._messages == messages and (left := end - time.monotonic()) > 0.0:
-            await_message(self._node, self._subscription, left)
+            handle_messages(self._node, [self._subscription], longest=left)
 
     @property
     def now(self) -> float:
