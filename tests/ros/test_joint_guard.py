@@ -14,7 +14,7 @@ from tests.examples import example_robot
 from tests.ros.virtual_topics import without_ros
 from thorvaldc.model.model_json import to_json
 
-PERIOD = 0.05  # s, of the guard's timer
+PERIOD = 0.05  # s, between two looks of the guard
 BEAT = 0.04  # s, of the heartbeats
 SPEED = 3.0  # rad/s, of all drives while the driver lives
 
@@ -58,10 +58,6 @@ class Node:
     def create_subscription(self, kind: Any, topic: str, take: Any, qos: Any) -> None:
         self.take = take
 
-    def create_timer(self, period: float, watch: Any, clock: Any) -> None:
-        assert period == PERIOD
-        self.watch = watch
-
 
 class Rig:
     """A guard, the drives that it stops, and the heartbeats of a driver.
@@ -93,14 +89,12 @@ class Rig:
         with without_ros(
             Node=type("VirtualNode", (Node,), members),
             Parameter=parameter,
-            Clock=lambda clock_type: None,
-            ClockType=SimpleNamespace(STEADY_TIME=1),
         ):
             from thorvaldc.ros.joint_guard import JointGuard
 
             self.guard: Any = JointGuard()
         self.wheels: dict[str, float] = self.guard.wheels
-        self._due = {"beat": self.now, "watch": self.now}
+        self._next_beat = self.now
 
     def _clock(self, hears: bool) -> float:
         if not hears or self.simulated is None:
@@ -120,18 +114,13 @@ class Rig:
     def _step(self) -> None:
         if self.simulated is not None and self.guard.parameters["use_sim_time"]:
             self.heard_clock = self.simulated  # a new subscription hears the next message
-        if self.beats and self._is_due("beat", BEAT):
+        if self.beats and self.now >= self._next_beat - 1e-9:
+            self._next_beat += BEAT
             stamp = self.now + 5e8 if self.simulated is None else self.simulated
             seconds, nanoseconds = divmod(round((stamp + self.ahead) * 1e9), 1_000_000_000)
             self.guard.take(SimpleNamespace(sec=seconds, nanosec=nanoseconds))
             self.wheels.update(dict.fromkeys(self.wheels, SPEED))
-        if self._is_due("watch", PERIOD):
-            self.guard.watch()
-
-    def _is_due(self, what: str, period: float) -> bool:
-        is_due = self.now >= self._due[what] - 1e-9
-        self._due[what] += period * is_due
-        return is_due
+        self.guard.run_due()
 
     @property
     def is_stopped(self) -> bool:

@@ -56,6 +56,7 @@ class TopicRig:
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
         self.executor.add_node(self.engine)
+        self.work: Callable[[], None] = lambda: None  # of another node, in every wait
         self.now = 1.0
         wheels = len(self.model.wheels)
         zeros = [0.0] * wheels
@@ -118,6 +119,7 @@ class TopicRig:
                 assert longest < TIMEOUT, "the driver or the engine is silent"
                 return False
             self.executor.spin_once(timeout_sec=0.005)
+            self.work()
         return True
 
     @property

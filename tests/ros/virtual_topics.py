@@ -23,8 +23,9 @@ PERIOD = 0.02  # s
 SOURCE = "auto_nav"
 NAMES = {
     "rclpy": (),
-    "rclpy.clock": ("Clock", "ClockType"),
     "rclpy.duration": ("Duration",),
+    "rclpy.impl": (),
+    "rclpy.impl.implementation_singleton": ("rclpy_implementation",),
     "rclpy.node": ("Node",),
     "rclpy.parameter": ("Parameter",),
     "rclpy.qos": ("QoSProfile", "ReliabilityPolicy"),
@@ -38,7 +39,7 @@ NAMES = {
     "builtin_interfaces.msg": ("Time",),
 }
 """Modules of ROS and their classes that the base and the guard use."""
-MODULES = ("topic_base", "joint_messages", "joint_guard", "node_parameters")
+MODULES = ("topic_base", "joint_messages", "joint_guard", "message_wait", "node_parameters")
 
 
 class _Message(SimpleNamespace):
@@ -75,6 +76,7 @@ class VirtualTopics:
 
     - ``now``: time (s) of the engine;
     - ``change``: what becomes of the joint states on their way; ``None``: they are lost;
+    - ``backwards``: whether the joint states name the joints in the opposite order;
     - ``guarded``: whether a guard hears the heartbeat of the driver;
     - ``offset``: time of ROS minus the time of the engine, which a reset changes.
     """
@@ -89,6 +91,7 @@ class VirtualTopics:
         self.offset = 10.0
         self.twist: Twist | None = Twist(0.0, 0.0, 0.0)
         self.guarded = True
+        self.backwards = False
         self._joints = {**wheel_joints(robot)[0], **wheel_joints(robot)[1]}
         with without_ros():
             from thorvaldc.ros.topic_base import robot_behind_topics
@@ -142,7 +145,7 @@ class VirtualTopics:
         positions = states.positions or ()
         rows = [(j, positions[i], states.speeds[i]) for j, i in drives.items()]
         rows += [(j, states.angles[i], states.angle_rates[i]) for j, i in steering.items()]
-        names, places, speeds = zip(*rows, strict=True)
+        names, places, speeds = zip(*rows[:: -1 if self.backwards else 1], strict=True)
         nanoseconds = round((states.time + self.offset) * 1e9)
         stamp = SimpleNamespace(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
         return SimpleNamespace(

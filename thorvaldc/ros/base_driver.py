@@ -91,10 +91,10 @@ def run_nodes(factories: Sequence[Callable[[], Any]], ended: Callable[[], bool])
                     if transition() != TransitionCallbackReturn.SUCCESS:
                         raise NodeError(node.problem)
         while not ended():
-            longest = min(max(min(node.wait() for node in nodes), 0.0), LONGEST_WAIT)
-            if len(nodes) == 1:
-                longest = nodes[0].await_states(longest)
-            _run_ready(executor, longest)
+            wait = min(max(min(node.wait() for node in nodes), 0.0), LONGEST_WAIT)
+            longest = nodes[0].await_states(wait) if len(nodes) == 1 else wait
+            if longest is not None:
+                _run_ready(executor, longest)
             for node in nodes:
                 node.run_due()
     return 0

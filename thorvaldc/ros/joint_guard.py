@@ -19,13 +19,13 @@ import time
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from thorvaldc.model.joint_topics import HEARTBEAT
 from thorvaldc.ros.joint_messages import JointCommandTopics
+from thorvaldc.ros.message_wait import handle_messages
 from thorvaldc.ros.node_parameters import declared, declared_model
 
 NODE_NAME = "joint_guard"
@@ -57,8 +57,8 @@ class JointGuard(Node):  # type: ignore[misc]
         self._stops = False
         self._is_simulated = bool(self.get_parameter("use_sim_time").value)
         qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self.create_subscription(Time, HEARTBEAT, self._hear, qos)
-        self.create_timer(_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._heartbeats = self.create_subscription(Time, HEARTBEAT, self._hear, qos)
+        self._next_look = 0.0  # real time
 
     def _hear(self, message: Any) -> None:
         self._stamp = message.sec + message.nanosec * 1e-9
@@ -66,6 +66,7 @@ class JointGuard(Node):  # type: ignore[misc]
 
     def _watch(self) -> None:
         now = time.monotonic()
+        self._next_look = now + _PERIOD
         silence = now - self._heard_at
         is_late = silence > _LATE
         if is_late:
@@ -99,13 +100,18 @@ class JointGuard(Node):  # type: ignore[misc]
     # -- as the node of the base driver, see ``run_nodes`` -----------------------------------------
 
     def wait(self) -> float:
-        return math.inf
+        return self._next_look - time.monotonic()
 
-    def await_states(self, longest: float) -> float:
-        return longest
+    def await_states(self, longest: float) -> float | None:
+        """Waits for heartbeats; other messages are handled together, once per look."""
+        end = time.monotonic() + longest
+        while (left := end - time.monotonic()) > 0.0:
+            handle_messages(self, [self._heartbeats], longest=left)
+        return 0.0
 
     def run_due(self) -> None:
-        return
+        if self.wait() <= 0.0:
+            self._watch()
 
     def stop_robot(self) -> None:
         # The launch ends this node when the base driver is killed: this command is the last one.

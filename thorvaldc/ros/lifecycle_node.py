@@ -34,6 +34,7 @@ from thorvaldc.model.settings import FOR_FILTERS
 from thorvaldc.ros import messages
 from thorvaldc.ros.bases import NodeError, description_text, open_robot
 from thorvaldc.ros.guarded_node import GuardedLifecycleNode
+from thorvaldc.ros.message_wait import handle_messages
 from thorvaldc.ros.node_parameters import Changes, NodeParameters
 from thorvaldc.ros.node_services import create_services
 from thorvaldc.ros.parameters import TOPICS
@@ -149,16 +150,18 @@ class BaseDriverNode(GuardedLifecycleNode):
         report = self._next_report - time.monotonic()
         return report if self.robot is None else min(report, self.robot.wait())
 
-    def await_states(self, longest: float) -> float:
+    def await_states(self, longest: float) -> float | None:
         """Waits for joint states behind topics, at most ``longest`` s of real time.
 
-        Returns the time (s) that other messages may be awaited.  They are handled together, once
-        per control cycle, which saves most of the time that rclpy takes.
+        The other messages are handled together, once per control cycle, which saves most of the
+        time that rclpy takes.  Returns the time (s) that the executor may wait, or ``None`` if
+        nothing is left to it: no request waits, and its events are looked at with each report.
         """
         if self.robot is None or not isinstance(self.robot.base, TopicBase):
             return longest
         self.robot.base.poll(longest)
-        return 0.0
+        requested = handle_messages(self, list(self.subscriptions), list(self.services))
+        return 0.0 if requested or time.monotonic() >= self._next_report else None
 
     def run_due(self) -> None:
         """Runs the control cycle and sends the messages that are due."""

@@ -27,6 +27,7 @@ from sensor_msgs.msg import JointState
 from thorvaldc.model import Robot, wheel_joints
 from thorvaldc.model.joint_topics import HEARTBEAT
 from thorvaldc.ros.joint_messages import STATES_TOPICS, JointCommandTopics, JointStateReader
+from thorvaldc.ros.message_wait import handle_messages
 from thorvaldc.ros.parameters import JOINT_STATES, default_silence
 from thorvaldc.runtime.base_interface import BaseHandle, ComponentStatus, JointCommands, JointStates
 from thorvaldc.runtime.driven_robot import DrivenRobot
@@ -153,13 +154,8 @@ class TopicBase(BaseHandle):
     def poll(self, longest: float) -> None:
         """Waits until new joint states are taken, for at most ``longest`` s of real time."""
         end, messages = time.monotonic() + longest, self._messages
-        while self._messages == messages and time.monotonic() < end:
-            with self._subscription.handle:
-                taken = self._subscription.handle.take_message(JointState, False)
-            if taken is None:
-                time.sleep(0.001)
-            else:
-                self._subscription.callback(taken[0])  # an error in it does not end the node
+        while self._messages == messages and (left := end - time.monotonic()) > 0.0:
+            handle_messages(self._node, [self._subscription], longest=left)
 
     @property
     def now(self) -> float:
