@@ -184,15 +184,16 @@ class _Reader:
                 missing.append(name)
                 return None
 
-            scratch = Report()
-            model = read_mjcf_description(root, file.display, file.path, include, scratch)
-            if missing:
-                text = f"the included file `{missing[0]}` is not in the audited folders"
-                skip(file.display, text, self.report)
+            try:
+                model = read_mjcf_description(root, file.display, file.path, include)
+                if missing:
+                    text = f"the included file `{missing[0]}` is not in the audited folders"
+                    raise UnreadableFileError(text)
+            except UnreadableFileError as error:
+                skip(file.display, str(error), self.report, error.span)
                 self.evidence.incomplete.append(file.display)
-            elif model is not None:
-                self.report.extend(scratch)
-                self.evidence.descriptions.append(model)
+            else:
+                self.evidence.descriptions += [model] if model is not None else []
 
 
 def _beside(path: str, name: str) -> str:
