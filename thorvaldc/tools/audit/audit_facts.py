@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 from thorvaldc.compiler.descriptions.facts import Fact, FileDescription, ParameterSection
 from thorvaldc.compiler.extras.xacro_rules import find_in_sources
@@ -20,46 +19,26 @@ class LaunchedNode:
     - ``name``: name of the node, or empty text if the launch file does not state a plain text.
     - ``parameters``: parameters in the launch file itself, by name; an unknown value is ``None``.
     - ``parameter_files``: plain names of parameter files, such as ``config/nav2.yaml``.
-    - ``remappings``: pairs of names.
-    - ``conditional``: whether the node is started only under a condition.
+    - ``remappings``: the new names.
     """
 
     package: str
     executable: str
     name: str
-    namespace: str
     span: Span
     parameters: Mapping[str, Fact]
     parameter_files: tuple[Fact, ...] = ()
-    remappings: tuple[tuple[str, str], ...] = ()
+    remappings: tuple[str, ...] = ()
     arguments: tuple[str, ...] = ()
-    conditional: bool = False
-
-
-class LaunchInclude(NamedTuple):
-    """A launch file that another one includes, with the arguments that it passes on.
-
-    An argument whose value is unknown is ``None``.
-    """
-
-    file: Fact
-    namespace: str
-    arguments: Mapping[str, str | None]
-    conditional: bool
 
 
 @dataclass(slots=True)
 class LaunchFile:
-    """A launch file: its nodes, the launch files that it includes, and defaults of its arguments.
+    """A launch file: its nodes, and the names of the launch files that it includes."""
 
-    Name spaces can contain arguments, as ``$(var name)``.
-    """
-
-    file: str
     path: Path
     nodes: list[LaunchedNode] = field(default_factory=list)
-    includes: list[LaunchInclude] = field(default_factory=list)
-    defaults: dict[str, str] = field(default_factory=dict)
+    includes: list[Fact] = field(default_factory=list)
 
 
 @dataclass(slots=True)

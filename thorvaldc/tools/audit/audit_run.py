@@ -44,7 +44,6 @@ RULES: tuple[Callable[[Evidence, Report], None], ...] = (
     name_rules.check_joint_names,
     name_rules.check_frames,
     name_rules.check_transform_owners,
-    name_rules.check_state_publishers,
     drive_rules.check_stamps,
     drive_rules.check_speeds,
     drive_rules.check_wheel_speeds,

@@ -9,11 +9,10 @@ from thorvaldc.compiler.descriptions.facts import Fact, FileDescription
 from thorvaldc.diagnostics import Label, Report, did_you_mean
 from thorvaldc.tools.audit.audit_facts import (
     Evidence,
-    LaunchedNode,
     closest,
     is_nearer,
 )
-from thorvaldc.tools.audit.launch_files import launched_nodes, resolved
+from thorvaldc.tools.audit.launch_files import resolved
 from thorvaldc.tools.audit.parameter_facts import published_frames
 
 
@@ -56,8 +55,7 @@ def _report_joint(fact: Fact, description: FileDescription, report: Report) -> N
 def check_launched_files(evidence: Evidence, report: Report) -> None:
     """Reports parameter files and launch files that do not exist in their package."""
     for launch in evidence.launches:
-        includes = [include.file for include in launch.includes]
-        files = [*includes, *(f for node in launch.nodes for f in node.parameter_files)]
+        files = [*launch.includes, *(f for node in launch.nodes for f in node.parameter_files)]
         for fact in files:
             path = resolved(fact, launch, evidence)
             is_local = str(fact.value).startswith("package://")
@@ -131,23 +129,3 @@ def _report_owners(estimator: Fact, other: Fact, switch: str, report: Report) ->
         hint=f"let the estimator publish it, and set {switch} to false",
         labels=[Label(other.span, "the other owner")],
     )
-
-
-def check_state_publishers(evidence: Evidence, report: Report) -> None:
-    """Reports launch files that start two robot_state_publishers in one name space."""
-    for launch in evidence.launches:
-        known: dict[str, LaunchedNode] = {}
-        for node in launched_nodes(launch, evidence):
-            if node.executable != "robot_state_publisher" or node.conditional:
-                continue
-            first = known.setdefault(node.namespace, node)
-            if first is not node and first.span != node.span:
-                report.add(
-                    "audit-state-publishers",
-                    f"`{launch.file}` starts two robot_state_publishers"
-                    f" {f'in the name space `{node.namespace}`' if node.namespace else ''}".strip()
-                    + ": both publish the transforms of the robot",
-                    node.span,
-                    hint="start it in one launch file, or give each robot its name space",
-                    labels=[Label(first.span, "the other one")],
-                )
