@@ -50,7 +50,8 @@ def test_odd_files_are_read_as_far_as_they_can_be(
 
 GROUPS = {
     "group.launch.py": "def generate_launch_description():\n    node = Node(parameters=[{"
-    "'frame_id': 'laser'}])\n    return LaunchDescription([GroupAction([PushRosNamespace('x'), node])])\n",
+    "'frame_id': 'laser'}])\n    return LaunchDescription([GroupAction([PushRosNamespace('x'),"
+    " node])])\n",
     "group.launch.xml": '<launch><group if="x"><push-ros-namespace namespace="x"/><node pkg="x">'
     '<param name="frame_id" value="laser"/></node></group></launch>',
     "group.launch.yaml": "launch:\n- group:\n  - push_ros_namespace: {namespace: x}\n"

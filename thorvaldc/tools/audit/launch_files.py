@@ -36,6 +36,12 @@ _ACTIONS = {
     "IncludeLaunchDescription": "include",
     "DeclareLaunchArgument": "arg",
 }
+_KEYWORDS = {
+    "package": "pkg",
+    "executable": "exec",
+    "plugin": "exec",
+    "default_value": "default",
+}
 
 
 def is_python_launch(data: bytes) -> bool:
@@ -83,18 +89,13 @@ class _PythonElements:
         return Element(tag, texts, tuple(children), "", span, (), self.path)
 
     def action(self, tag: str, call: ast.Call) -> Element:
-        first, span = call.args[0] if call.args else None, _span(call, self.file)
-        if tag == "arg":
-            name = self.value(first or keyword(call, "name"))
-            default = _text(self.value(keyword(call, "default_value")))
-            return self.element(tag, span, {"name": name, "default": default})
-        if tag == "include":
-            return self.element(tag, span, {"file": _text(self.value(first)) or "$(unknown)"})
-        stated = ("package", "executable", "plugin", "name")
-        package, executable, plugin, name = (self.value(keyword(call, n)) for n in stated)
-        arguments = " ".join(map(str, self.items(keyword(call, "arguments"))))
-        attributes = {"pkg": package, "exec": executable or plugin, "name": name, "args": arguments}
-        return self.element(tag, span, attributes, [*self.parameters(call), *self.remappings(call)])
+        stated = {k.arg: _text(self.value(k.value)) for k in call.keywords if k.arg}
+        attributes = {_KEYWORDS.get(name, name): text for name, text in stated.items()}
+        if call.args and tag in ("arg", "include"):
+            attributes["name" if tag == "arg" else "file"] = _text(self.value(call.args[0]))
+        attributes["args"] = " ".join(map(str, self.items(keyword(call, "arguments"))))
+        children = [*self.parameters(call), *self.remappings(call)]
+        return self.element(tag, _span(call, self.file), attributes, children)
 
     def items(self, node: ast.expr | None) -> list[Any]:
         value = self.value(node)
@@ -231,7 +232,7 @@ def read_xml(root: Element, file: str, path: Path) -> facts.LaunchFile:
         elif element.tag == "include":
             name = substituted(element.attributes.get("file", ""), defaults)
             fact = Fact("launch file", "launch file", name, element.span)
-            launch.includes += [fact] if name is not None else []
+            launch.includes += [fact] if name else []
     return launch
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -17,17 +16,16 @@ from thorvaldc.compiler.descriptions.facts import FileDescription, UnreadableFil
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Pose
-from thorvaldc.tools.audit.descriptions import UrdfElements, read_description
+from thorvaldc.tools.audit.descriptions import MAX_DEPTH, UrdfElements, read_description
 
-Include = Callable[[str, Element], Element | None]
-MAX_INCLUDES = 50
+Include = Callable[[Element], Element]
 MAX_PARTS = 6000  # the time in which MuJoCo compiles a model grows with their square
 WORLD = "world"
 # Other elements and attributes are not handed to MuJoCo: they name files and elements that are not
 # read, or make any number of bodies.
 _READ = (
     *("mujoco", "compiler", "default", "worldbody", "body", "frame", "inertial", "joint"),
-    *("freejoint", "geom", "site", "camera"),
+    *("freejoint", "geom", "site", "camera", "include"),
 )
 _LEFT_OUT = ("material", "hfield", "target", "user", "fluidshape", "fitscale")
 
@@ -37,7 +35,7 @@ def read_mjcf_description(
 ) -> FileDescription | None:
     """Returns the robot of a ``<mujoco>`` document, or ``None`` if it has no bodies with joints.
 
-    - ``include``: function that returns the root element of an included file, or ``None``.
+    - ``include``: function that returns the root of the file that an ``<include>`` names.
 
     Raises ``UnreadableFileError`` if MuJoCo rejects the document, or if it is too large.
     """
@@ -48,7 +46,7 @@ def read_mjcf_description(
     name = root.attributes.get("model", Path(file).name)
     description = FileDescription(format="MJCF", name=name, file=file, path=path)
     elements: list[Element] = []
-    text = "".join(_lines(_with_includes(root, include, [0]), elements))
+    text = "".join(_lines(root, include, elements))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of attributes that later versions will not have
@@ -66,31 +64,25 @@ def read_mjcf_description(
     return description if description.joints else None
 
 
-def _with_includes(element: Element, include: Include, count: list[int]) -> Element:
-    """Returns an element in which the content of included files replaces ``<include>``."""
-    children: list[Element] = []
-    for child in element.children:
-        if child.tag != "include":
-            children.append(_with_includes(child, include, count))
-            continue
-        count[0] += 1
-        inner = include(child.attributes.get("file", ""), child)
-        if inner is not None and count[0] <= MAX_INCLUDES:
-            children += _with_includes(inner, include, count).children
-    return replace(element, children=tuple(children))
+def _lines(
+    element: Element, include: Include, elements: list[Element], depth: int = 0
+) -> Iterator[str]:
+    """Yields the text of an element: each start tag is a line, whose number MuJoCo keeps.
 
-
-def _lines(element: Element, elements: list[Element]) -> Iterator[str]:
-    """Yields the text of an element: each start tag is a line, whose number MuJoCo keeps."""
+    An ``<include>`` is an empty line before the content of the other file.
+    """
     elements.append(element)
-    if len(elements) > MAX_PARTS:
-        raise UnreadableFileError(f"it has more than {MAX_PARTS} bodies, joints and geoms")
+    if len(elements) > MAX_PARTS or depth > MAX_DEPTH:
+        text = f"it has more than {MAX_PARTS} elements or {MAX_DEPTH} levels, with its includes"
+        raise UnreadableFileError(text)
     named = ((n, v) for n, v in element.attributes.items() if n not in _LEFT_OUT)
-    yield f"<{element.tag}{''.join(f' {n}={quoteattr(v)}' for n, v in named)}>\n"
-    for child in element.children:
+    is_include = element.tag == "include"
+    text = f"<{element.tag}{''.join(f' {n}={quoteattr(v)}' for n, v in named)}>"
+    yield "\n" if is_include else f"{text}\n"
+    for child in include(element).children if is_include else element.children:
         if child.tag in _READ:
-            yield from _lines(child, elements)
-    yield f"</{element.tag}>"
+            yield from _lines(child, include, elements, depth + 1)
+    yield "" if is_include else f"</{element.tag}>"
 
 
 class _Reader:

@@ -9,8 +9,8 @@ from thorvaldc.compiler.descriptions.facts import Fact, FileDescription
 from thorvaldc.diagnostics import Label, Report, did_you_mean
 from thorvaldc.tools.audit.audit_facts import (
     Evidence,
+    affinity,
     closest,
-    is_nearer,
 )
 from thorvaldc.tools.audit.launch_files import resolved
 from thorvaldc.tools.audit.parameter_facts import published_frames
@@ -29,7 +29,8 @@ def check_joint_names(evidence: Evidence, report: Report) -> None:
         related = evidence.related(file, names)
         if not related and not evidence.incomplete:
             related = evidence.related(file)
-        if related and any(is_nearer(file, u, related[0].file) for u in evidence.incomplete):
+        unread = max((affinity(file, name) for name in evidence.incomplete), default=-1)
+        if related and unread >= affinity(file, related[0].file):
             continue
         for fact in facts:
             if related and not any(fact.value in d.joints for d in evidence.descriptions):
