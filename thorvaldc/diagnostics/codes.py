@@ -393,7 +393,6 @@ _TABLE: tuple[Code, ...] = (
     _error("TV946", "audit-description-broken", "a description is not a tree of known links"),
     _warning("TV947", "audit-frame-unknown", "a node uses a frame that does not exist"),
     _warning("TV948", "audit-transform-owners", "two nodes publish the transform of odometry"),
-    _warning("TV949", "audit-state-publishers", "two robot_state_publishers in one name space"),
     _warning("TV950", "audit-stamped", "some nodes use TwistStamped, and others Twist"),
     _warning("TV951", "audit-speed", "a planner demands a speed beyond the limits"),
     _warning("TV952", "audit-joint-limit", "commands go beyond the limits of a joint"),

@@ -5,15 +5,15 @@ All values are in SI units.  The readers of URDF, SDF and MJCF return the same d
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from thorvaldc.compiler.descriptions.description import Description
+from thorvaldc.compiler.descriptions.description import Description, Places
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Span
-from thorvaldc.model import Joint
+from thorvaldc.diagnostics import FIRST_USE, Label, Report, Span, did_you_mean
+from thorvaldc.model import Joint, Link
 
 
 class UnreadableFileError(Exception):
@@ -61,6 +61,41 @@ class FileDescription(Description):
     path: Path = Path()
     frames: set[str] = field(default_factory=set)
     facts: list[Fact] = field(default_factory=list)
+
+    def add_parts(
+        self, links: Sequence[Link], joints: Sequence[Joint], places: Places, report: Report
+    ) -> None:
+        """Adds links and joints; reports those whose name another one has."""
+        parts: list[Link | Joint] = [*links, *joints]
+        for part in parts:
+            known: dict[str, Any] = self.links if isinstance(part, Link) else self.joints
+            first = known.setdefault(part.name, part)
+            if first.span != part.span:  # parts of a macro that is called twice have one place
+                report.add(
+                    "audit-description-broken",
+                    f"{type(part).__name__.lower()} `{part.name}` is defined twice; readers of"
+                    f" {self.format} reject the file",
+                    part.span,
+                    labels=[Label(first.span, FIRST_USE)],
+                )
+        self.places |= places
+
+    def check_joints(self, report: Report, others: Sequence[str] = ()) -> None:
+        """Reports links of joints that do not exist.
+
+        - ``others``: names of frames and of links elsewhere to which joints may refer.
+        """
+        known = [*self.links, *others]
+        for joint in self.joints.values():
+            for role, link in (("parent", joint.parent), ("child", joint.child)):
+                if link not in known:
+                    report.add(
+                        "audit-description-broken",
+                        f"the {role} of joint `{joint.name}` is link `{link}`, which does not"
+                        " exist",
+                        joint.span,
+                        hint=did_you_mean(link, known, fixable=False),
+                    )
 
     def limit(self, joint: Joint, quantity: str) -> Fact | None:
         """Returns the limit ``lower``, ``upper``, ``velocity`` or ``effort`` of a joint.

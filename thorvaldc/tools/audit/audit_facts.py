@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import TypeVar
 
 from thorvaldc.compiler.descriptions.facts import Fact, FileDescription, ParameterSection
 from thorvaldc.compiler.extras.xacro_rules import find_in_sources
 from thorvaldc.diagnostics import Span
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,46 +22,26 @@ class LaunchedNode:
     - ``name``: name of the node, or empty text if the launch file does not state a plain text.
     - ``parameters``: parameters in the launch file itself, by name; an unknown value is ``None``.
     - ``parameter_files``: plain names of parameter files, such as ``config/nav2.yaml``.
-    - ``remappings``: pairs of names.
-    - ``conditional``: whether the node is started only under a condition.
+    - ``remappings``: the new names.
     """
 
     package: str
     executable: str
     name: str
-    namespace: str
     span: Span
     parameters: Mapping[str, Fact]
     parameter_files: tuple[Fact, ...] = ()
-    remappings: tuple[tuple[str, str], ...] = ()
+    remappings: tuple[str, ...] = ()
     arguments: tuple[str, ...] = ()
-    conditional: bool = False
-
-
-class LaunchInclude(NamedTuple):
-    """A launch file that another one includes, with the arguments that it passes on.
-
-    An argument whose value is unknown is ``None``.
-    """
-
-    file: Fact
-    namespace: str
-    arguments: Mapping[str, str | None]
-    conditional: bool
 
 
 @dataclass(slots=True)
 class LaunchFile:
-    """A launch file: its nodes, the launch files that it includes, and defaults of its arguments.
+    """A launch file: its nodes, and the names of the launch files that it includes."""
 
-    Name spaces can contain arguments, as ``$(var name)``.
-    """
-
-    file: str
     path: Path
     nodes: list[LaunchedNode] = field(default_factory=list)
-    includes: list[LaunchInclude] = field(default_factory=list)
-    defaults: dict[str, str] = field(default_factory=dict)
+    includes: list[Fact] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -103,29 +85,29 @@ class Evidence:
         whose paths have most words in common with the path of the file.  A repository can contain
         several robots: `config/burger.yaml` belongs to `urdf/burger.urdf`.
         """
-        candidates = self.descriptions
-        if names:
-            counts = [
-                sum(1 for n in names if n in d.joints or n in d.links) for d in self.descriptions
-            ]
-            most = max(counts, default=0)
-            if most == 0:
-                return []
-            candidates = [
-                d for d, count in zip(self.descriptions, counts, strict=True) if count == most
-            ]
-        words = path_words(file)
-        affinities = [len(words & path_words(d.file)) for d in candidates]
-        best = max(affinities, default=0)
-        if any(len(words & path_words(unread)) > best for unread in self.incomplete):
+
+        def known(description: FileDescription) -> int:
+            return sum(1 for n in names if n in description.joints or n in description.links)
+
+        candidates = _most(self.descriptions, known)
+        if names and not any(map(known, candidates)):
+            return []
+        nearest = _most(candidates, lambda description: affinity(file, description.file))
+        best = affinity(file, nearest[0].file) if nearest else 0
+        if any(affinity(file, unread) > best for unread in self.incomplete):
             return []  # it probably belongs to a description that cannot be read
-        return [d for d, value in zip(candidates, affinities, strict=True) if value == best]
+        return nearest
 
 
-def is_nearer(file: str, unread: str, other: str) -> bool:
-    """Whether a file belongs to ``unread`` at least as probably as to ``other``, by its path."""
-    words = path_words(file)
-    return len(words & path_words(unread)) >= len(words & path_words(other))
+def _most(items: Sequence[T], value: Callable[[T], int]) -> list[T]:
+    """Returns the items with the largest value."""
+    best = max(map(value, items), default=0)
+    return [item for item in items if value(item) == best]
+
+
+def affinity(file: str, other: str) -> int:
+    """Returns the number of words that two paths have in common and that can name a robot."""
+    return len(path_words(file) & path_words(other))
 
 
 _GENERAL_WORDS = frozenset(
@@ -152,12 +134,6 @@ def closest(facts: Sequence[Fact], file: str) -> list[Fact]:
 
     Files for another distribution of ROS, as in `param/humble/nav2.yaml`, are alternatives.
     """
-    words = path_words(file)
-    distributions = words & _DISTRIBUTIONS
-    candidates = [
-        (len(words & path_words(fact.span.file)), fact)
-        for fact in facts
-        if path_words(fact.span.file) & _DISTRIBUTIONS == distributions
-    ]
-    best = max((affinity for affinity, _ in candidates), default=0)
-    return [fact for affinity, fact in candidates if affinity == best]
+    distributions = path_words(file) & _DISTRIBUTIONS
+    candidates = [f for f in facts if path_words(f.span.file) & _DISTRIBUTIONS == distributions]
+    return _most(candidates, lambda fact: affinity(file, fact.span.file))

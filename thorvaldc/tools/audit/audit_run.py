@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
@@ -21,6 +22,7 @@ from thorvaldc.compiler.descriptions.parameter_files import (
     sections,
 )
 from thorvaldc.compiler.extras import xacro_expand
+from thorvaldc.compiler.extras.load_extras import FAILURES
 from thorvaldc.compiler.extras.plugin_facts import walk
 from thorvaldc.compiler.extras.xacro_expand import Element, ExpandedFile
 from thorvaldc.diagnostics import Report, Span
@@ -44,7 +46,6 @@ RULES: tuple[Callable[[Evidence, Report], None], ...] = (
     name_rules.check_joint_names,
     name_rules.check_frames,
     name_rules.check_transform_owners,
-    name_rules.check_state_publishers,
     drive_rules.check_stamps,
     drive_rules.check_speeds,
     drive_rules.check_wheel_speeds,
@@ -114,11 +115,9 @@ class _Reader:
         self.mjcf_files: dict[str, tuple[RobotFile, Element]] = {}
 
     def read(self, file: RobotFile) -> None:
-        data = self.robot_files.content(file, self.report)
-        if data is None:
-            return
         suffix = file.path.suffix.lower()
         try:
+            data = self.robot_files.content(file)
             if suffix in (".urdf", ".xacro"):
                 self.urdf_files.append((file, data))
             elif suffix in (".yaml", ".yml"):
@@ -130,8 +129,7 @@ class _Reader:
             elif suffix in SUFFIXES:
                 self.read_xml_file(file, data)
             else:
-                text = f"files with the suffix `{suffix}` are not read"
-                skip(file.display, text, self.report)
+                raise UnreadableFileError(f"files with the suffix `{suffix}` are not read")
         except UnreadableFileError as error:
             skip(file.display, str(error), self.report, error.span)
             if suffix == ".py":
@@ -172,38 +170,29 @@ class _Reader:
         for path, (file, root) in self.mjcf_files.items():
             if root.tag != "mujoco" or file.path.name in included:
                 continue
-            missing: list[str] = []
-
-            def include(
-                name: str, element: Element, top: str = path, missing: list[str] = missing
-            ) -> Element | None:
-                for start in (top, os.path.realpath(element.file)):
-                    entry = self.mjcf_files.get(_beside(start, name))
-                    if entry is not None:
-                        return entry[1]
-                missing.append(name)
-                return None
-
-            scratch = Report()
-            model = read_mjcf_description(root, file.display, file.path, include, scratch)
-            if missing:
-                text = f"the included file `{missing[0]}` is not in the audited folders"
-                skip(file.display, text, self.report)
+            try:
+                include = partial(self.included, path)
+                model = read_mjcf_description(root, file.display, file.path, include)
+                self.evidence.descriptions += [model] if model is not None else []
+            except UnreadableFileError as error:
+                skip(file.display, str(error), self.report, error.span)
                 self.evidence.incomplete.append(file.display)
-            elif model is not None:
-                self.report.extend(scratch)
-                self.evidence.descriptions.append(model)
 
-
-def _beside(path: str, name: str) -> str:
-    return os.path.realpath(os.path.join(os.path.dirname(path), name)) if "\0" not in name else ""
+    def included(self, top: str, element: Element) -> Element:
+        """Returns the root element of the file that an ``<include>`` names."""
+        name = element.attributes.get("file", "")
+        for start in (top, os.path.realpath(element.file)):
+            path = os.path.realpath(os.path.join(os.path.dirname(start), name.replace("\0", "")))
+            if path in self.mjcf_files:
+                return self.mjcf_files[path][1]
+        text = f"the included file `{name}` is not in the audited folders"
+        raise UnreadableFileError(text, element.span)
 
 
 # -- the files in folders, with limits on their number, depth and size -----------------
 
 MAX_FILES = 3000
 MAX_ENTRIES = 200_000
-MAX_DEPTH = 24
 MAX_BYTES = 8_000_000
 MAX_TOTAL_BYTES = 200_000_000
 
@@ -236,20 +225,17 @@ class Survey:
     packages: dict[str, Path] = field(default_factory=dict)
     read_bytes: int = 0
 
-    def content(self, file: RobotFile, report: Report) -> bytes | None:
-        """Returns the bytes of a file, or ``None`` with a note if it cannot be read."""
-        reason = f"all files together have more than {MAX_TOTAL_BYTES // 1_000_000} MB"
-        if self.read_bytes < MAX_TOTAL_BYTES:
-            try:
-                data = read_bounded(file.path, MAX_BYTES)
-            except (OSError, ValueError) as error:
-                text = error.strerror if isinstance(error, OSError) else None
-                reason = text or str(error)
-            else:
-                self.read_bytes += len(data)
-                return data
-        skip(file.display, reason, report)
-        return None
+    def content(self, file: RobotFile) -> bytes:
+        """Returns the bytes of a file.  Raises ``UnreadableFileError``."""
+        if self.read_bytes >= MAX_TOTAL_BYTES:
+            limit = MAX_TOTAL_BYTES // 1_000_000
+            raise UnreadableFileError(f"all files together have more than {limit} MB")
+        try:
+            data = read_bounded(file.path, MAX_BYTES)
+        except (OSError, ValueError) as error:
+            raise UnreadableFileError(getattr(error, "strerror", None) or str(error)) from None
+        self.read_bytes += len(data)
+        return data
 
 
 def skip(display: str, reason: str, report: Report, span: Span | None = None) -> None:
@@ -285,7 +271,6 @@ def _walk(root: Path, display: str, result: Survey, report: Report) -> None:
     entries = 0
     for folder, folders, files in os.walk(root):
         entries += len(folders) + len(files)
-        depth = len(Path(folder).relative_to(root).parts)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         shown = os.path.normpath(os.path.join(display, Path(folder).relative_to(root)))
         marks = [mark for mark in _IGNORE_MARKS if mark in files and folder != str(root)]
@@ -293,9 +278,6 @@ def _walk(root: Path, display: str, result: Survey, report: Report) -> None:
             result.left_out.append(f"`{shown}` ({marks[0]})")
             folders.clear()
             continue
-        if depth >= MAX_DEPTH and folders:
-            _report_limit(shown, f"is more than {MAX_DEPTH} levels deep", report)
-            folders.clear()
         if "package.xml" in files:
             _read_package(Path(folder), result)
         for name in sorted(files):
@@ -307,13 +289,10 @@ def _walk(root: Path, display: str, result: Survey, report: Report) -> None:
         if len(result.files) > MAX_FILES or entries > MAX_ENTRIES:
             number = f"{MAX_FILES} robot" if len(result.files) > MAX_FILES else str(MAX_ENTRIES)
             del result.files[MAX_FILES:]
-            _report_limit(display, f"contains more than {number} files", report)
+            message = f"`{display}` contains more than {number} files; the rest is left out"
+            hint = "name the folder of one robot in it"
+            report.add("audit-limit", message, Span(display), hint=hint)
             return
-
-
-def _report_limit(display: str, reason: str, report: Report) -> None:
-    message = f"`{display}` {reason}; the rest is left out"
-    report.add("audit-limit", message, Span(display), hint="name the folder of one robot in it")
 
 
 def _read_package(folder: Path, result: Survey) -> None:
@@ -424,7 +403,7 @@ class _Expansion:
             is_new = name not in job.arguments and re.fullmatch(r"[\w-]+", name)
             if is_new and len(job.arguments) < MAX_MISSING_ARGUMENTS:
                 return [job._replace(arguments={**job.arguments, name: "true"})]
-            reason = _REASONS.get(failure.kind, "{}").format(failure.text)
+            reason = FAILURES[failure.kind][1].format(text=failure.text)
             self.skip(file, reason, failure.span)
             return []
         if self.add_description(file, result, Report() if job.is_variant else self.report):
@@ -454,19 +433,10 @@ class _Expansion:
         name, diagnostics = file.path.name, Report()
         robot = FileDescription(format="URDF", name=name, file=file.display, path=file.path)
         descriptions.read_description(robot, result.elements, diagnostics)
-        descriptions.check_tree(robot, diagnostics)
+        robot.check_joints(diagnostics)
         if diagnostics.has_errors and file.path in self.included:
             return False  # it is a part of the robot that includes it
         report.extend(diagnostics)
         if robot.links and robot not in self.evidence.descriptions:
             self.evidence.descriptions.append(robot)
         return bool(robot.links)
-
-
-_REASONS = {
-    "argument": "the xacro argument `{}` has no default",
-    "environment": "it reads the environment variable `{}`",
-    "package": "the package `{}` is not in the audited folders",
-    "xml": "it is not XML: {}",
-    "root": "its root element is {}",
-}

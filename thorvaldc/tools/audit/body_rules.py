@@ -17,8 +17,9 @@ from thorvaldc.compiler.shapes.meshes import load_mesh, shared_mesh_workers
 from thorvaldc.compiler.shapes.solids import measures
 from thorvaldc.diagnostics import Label, Report, Span, plain
 from thorvaldc.diagnostics.files import read_json
-from thorvaldc.model import Box, Cylinder, Joint, MeshShape, Pose, Sphere, Vec3
-from thorvaldc.model.statics.tip_over import convex_hull
+from thorvaldc.model import Joint, MeshShape, Vec3
+from thorvaldc.model.statics.occupied_space import corners_of
+from thorvaldc.model.statics.tip_over import Point, convex_hull
 from thorvaldc.model.stl import mesh_vertices
 from thorvaldc.tools.audit import audit_facts as facts
 
@@ -126,8 +127,6 @@ def _mesh_sizes(paths: Iterable[Path]) -> dict[Path, list[float]]:
 # A footprint may leave out screws and round corners.
 FOOTPRINT_TOLERANCE = 0.02  # m
 
-Point = tuple[float, float]
-
 
 def footprint_of(section: ParameterSection) -> Fact | None:
     """Returns the polygon (m) or the radius (m) of a costmap, or ``None``."""
@@ -223,7 +222,7 @@ def farthest_outside(
         for shape in description.shapes(link):
             if not shape.collides:
                 continue
-            for x, y in _outline(shape, X_BW * poses[name]):
+            for x, y, _ in corners_of(shape.shape, X_BW * poses[name] * shape.pose):
                 distance = _distance(fact, x, y)
                 if best is None or distance > best[0]:
                     best = distance, name, shape
@@ -239,25 +238,6 @@ def _is_rigid(name: str, parents: Mapping[str, Joint]) -> bool:
             return False
         name = joint.parent
     return False
-
-
-def _outline(shape: PlacedShape, X_BL: Pose) -> list[Point]:
-    """Returns points of a shape that stand out farthest, in the frame of the robot."""
-    pose = X_BL * shape.pose
-    match shape.shape:
-        case Box(size):
-            corners = itertools.product(*((-edge / 2, edge / 2) for edge in size))
-            return [pose.apply((x, y, z))[:2] for x, y, z in corners]
-        case Sphere(radius):
-            x, y, _ = pose.xyz
-            return [(x + radius * c, y + radius * s) for c, s in _CIRCLE]
-        case Cylinder(r, length):
-            ends = [(r * c, r * s, z * length / 2) for c, s in _CIRCLE for z in (-1, 1)]
-            return [pose.apply(end)[:2] for end in ends]
-    return []
-
-
-_CIRCLE = [(math.cos(i * math.pi / 12), math.sin(i * math.pi / 12)) for i in range(24)]
 
 
 def _distance(fact: Fact, x: float, y: float) -> float:

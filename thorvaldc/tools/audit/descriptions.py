@@ -14,8 +14,8 @@ from thorvaldc.compiler.descriptions.facts import UNLIMITED, FileDescription, Un
 from thorvaldc.compiler.extras.plugin_facts import numbers, plugin_facts, ros2_control_facts
 from thorvaldc.compiler.extras.urdf_reader import read_urdf
 from thorvaldc.compiler.extras.xacro_expand import Element
-from thorvaldc.diagnostics import Report, Span, did_you_mean
-from thorvaldc.model import Joint, Link, Mesh, Pose, Vec3
+from thorvaldc.diagnostics import Report, Span
+from thorvaldc.model import Mesh, Pose, Vec3
 
 # -- XML files, without document types and entities -------------------------------------
 
@@ -88,11 +88,7 @@ def read_description(
     invalid are left out.
     """
     parts = read_urdf(elements, "", _unread_mesh, Report())
-    for link in parts.links:
-        _check_once(link, description.links.setdefault(link.name, link), description, report)
-    for joint in parts.joints:
-        _check_once(joint, description.joints.setdefault(joint.name, joint), description, report)
-    description.places |= parts.places
+    description.add_parts(parts.links, parts.joints, parts.places, report)
     for element in elements:
         if element.tag == "ros2_control":
             description.facts += ros2_control_facts(element)
@@ -101,37 +97,8 @@ def read_description(
     return description
 
 
-def _check_once(
-    part: Link | Joint, first: Link | Joint, description: FileDescription, report: Report
-) -> None:
-    if first.span != part.span:  # parts of a macro that is called twice have one place
-        report.add(
-            "audit-description-broken",
-            f"{type(part).__name__.lower()} `{part.name}` is defined twice; readers of"
-            f" {description.format} reject the file",
-            part.span,
-        )
-
-
 def _unread_mesh(name: str, element: Element, scale: Vec3, is_visual: bool) -> Mesh:
     return Mesh(name, "")
-
-
-def check_tree(description: FileDescription, report: Report, others: Sequence[str] = ()) -> None:
-    """Reports links of joints that do not exist.
-
-    - ``others``: names of frames and of links elsewhere to which joints may refer.
-    """
-    known = [*description.links, *others]
-    for joint in description.joints.values():
-        for role, link in (("parent", joint.parent), ("child", joint.child)):
-            if link not in known:
-                report.add(
-                    "audit-description-broken",
-                    f"the {role} of joint `{joint.name}` is link `{link}`, which does not exist",
-                    joint.span,
-                    hint=did_you_mean(link, known, fixable=False),
-                )
 
 
 class UrdfElements:

@@ -17,8 +17,7 @@ from thorvaldc.compiler.descriptions.wheel_rules import (
 )
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model.spatial import norm, sub
-from thorvaldc.tools.audit import audit_facts
-from thorvaldc.tools.audit.audit_facts import Evidence
+from thorvaldc.tools.audit.audit_facts import Evidence, affinity, closest
 from thorvaldc.tools.audit.parameter_facts import stamped_arguments
 
 
@@ -51,11 +50,9 @@ def check_command_limits(evidence: Evidence, report: Report) -> None:
             joint = description.joints.get(fact.names[0]) if fact.names else None
             if joint is None or end not in ("min", "max"):
                 continue
-            limit = None
-            if interface == "velocity":
-                limit = description.limit(joint, "velocity")
-            elif interface == "position":
-                limit = description.limit(joint, "upper" if end == "max" else "lower")
+            position = "upper" if end == "max" else "lower"
+            quantity = {"velocity": "velocity", "position": position}.get(interface)
+            limit = description.limit(joint, quantity) if quantity is not None else None
             if limit is None or (interface == "velocity" and limit.value <= 0.0):
                 continue
             bound = -limit.value if interface == "velocity" and end == "min" else limit.value
@@ -83,13 +80,8 @@ def _pairs(evidence: Evidence) -> Iterator[tuple[FileDescription, FileDescriptio
         names_b = {n for n, j in b.joints.items() if j.type not in ("fixed", "floating")}
         common = names_a & names_b
         if len(common) >= 2 and 2 * len(common) >= min(len(names_a), len(names_b)):
-            words = audit_facts.path_words(a.file) & audit_facts.path_words(b.file)
-            best = max(
-                len(audit_facts.path_words(a.file) & audit_facts.path_words(other.file))
-                for other in evidence.descriptions
-                if other.format == b.format
-            )
-            if len(words) == best:
+            others = [other.file for other in evidence.descriptions if other.format == b.format]
+            if affinity(a.file, b.file) == max(affinity(a.file, other) for other in others):
                 yield a, b
 
 
@@ -156,7 +148,7 @@ def check_stamps(evidence: Evidence, report: Report) -> None:
     stamped = sum(1 for fact in facts if fact.value)
     rare = 2 * stamped <= len(facts)  # the type of fewer nodes is reported
     for fact in (fact for fact in facts if bool(fact.value) is rare):
-        nearby = audit_facts.closest([f for f in facts if _name(f) != _name(fact)], fact.span.file)
+        nearby = closest([f for f in facts if _name(f) != _name(fact)], fact.span.file)
         others = [other for other in nearby if other.value is not fact.value]
         if others:
             types = ("TwistStamped", "Twist") if rare else ("Twist", "TwistStamped")
@@ -181,7 +173,7 @@ def check_speeds(evidence: Evidence, report: Report) -> None:
         limits = evidence.stated(f"{kind} limit")
         for plan in evidence.stated(f"{kind} plan"):
             others = [f for f in limits if _name(f) != _name(plan)]
-            nearby = audit_facts.closest(others, plan.span.file)
+            nearby = closest(others, plan.span.file)
             if not nearby:
                 continue
             limit = max(nearby, key=lambda fact: float(fact.value))

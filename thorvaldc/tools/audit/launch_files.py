@@ -1,4 +1,4 @@
-"""Reads launch files in Python (syntax tree only), XML and YAML, and follows their includes.
+"""Reads launch files in Python (syntax tree only), XML and YAML.
 
 Python and YAML become the elements of XML, so that one reader reads all three.
 """
@@ -6,11 +6,9 @@ Python and YAML become the elements of XML, so that one reader reads all three.
 from __future__ import annotations
 
 import ast
-import os
 import re
 import warnings
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,10 +34,13 @@ _ACTIONS = {
     **dict.fromkeys(("Node", "LifecycleNode", "ComposableNodeContainer"), "node"),
     "ComposableNode": "composable_node",
     "IncludeLaunchDescription": "include",
-    "GroupAction": "group",
-    "PushRosNamespace": "push_ros_namespace",
-    "PushROSNamespace": "push_ros_namespace",
     "DeclareLaunchArgument": "arg",
+}
+_KEYWORDS = {
+    "package": "pkg",
+    "executable": "exec",
+    "plugin": "exec",
+    "default_value": "default",
 }
 
 
@@ -53,7 +54,7 @@ def read_python(data: bytes, file: str, path: Path) -> facts.LaunchFile:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # such as invalid escapes in the file of others
             tree = ast.parse(data)
-        children = tuple(_PythonElements(tree, file, path).of(tree))
+        children = tuple(_PythonElements(tree, file, path).elements())
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         line = f" (line {error.lineno})" if isinstance(error, SyntaxError) else ""
         raise UnreadableFileError(f"it is not Python{line}") from None
@@ -67,112 +68,47 @@ class _PythonElements:
     """
 
     def __init__(self, tree: ast.Module, file: str, path: Path) -> None:
-        self.file, self.path = file, path
+        self.tree, self.file, self.path = tree, file, path
         self.names: dict[str, ast.expr | None] = {}
         for node in ast.walk(tree):
             if isinstance(node, ast.Assign) and isinstance(target := node.targets[0], ast.Name):
                 self.names[target.id] = None if target.id in self.names else node.value
             elif isinstance(node, ast.AugAssign) and isinstance(node.target, ast.Name):
                 self.names[node.target.id] = None
-        # What a group contains by its name is read with the group.
-        calls = [n for n in ast.walk(tree) if isinstance(n, ast.Call)]
-        groups = [call for call in calls if call_name(call) == "GroupAction"]
-        self.grouped = {id(action) for group in groups for action in self.actions(group)}
 
-    def of(self, node: ast.AST) -> list[Element]:
-        """Returns the elements of the calls in a node."""
-        tag = _ACTIONS.get(call_name(node)) if isinstance(node, ast.Call) else None
-        if isinstance(node, ast.Call) and tag is not None:
-            return [self.action(tag, node)]
-        if isinstance(node, ast.Assign) and id(node.value) in self.grouped:
-            return []
-        children = [e for child in ast.iter_child_nodes(node) for e in self.of(child)]
-        if isinstance(node, ast.If | ast.IfExp) and children:
-            span = children[0].span
-            return [self.element("group", span, children, {"if": "?", "scoped": "false"})]
-        return children
+    def elements(self) -> Iterator[Element]:
+        for node in ast.walk(self.tree):
+            if isinstance(node, ast.Call) and call_name(node) in _ACTIONS:
+                yield self.action(_ACTIONS[call_name(node)], node)
 
     def element(
-        self, tag: str, span: Span, children: list[Element], attributes: Mapping[str, Any]
+        self, tag: str, span: Span, attributes: Mapping[str, Any], children: Iterable[Element] = ()
     ) -> Element:
         """Returns an element; attributes that are missing (``None``) are left out."""
         texts = {name: str(value) for name, value in attributes.items() if value is not None}
         return Element(tag, texts, tuple(children), "", span, (), self.path)
 
     def action(self, tag: str, call: ast.Call) -> Element:
-        first = call.args[0] if call.args else None
-        attributes: dict[str, Any] = {"if": "?" if keyword(call, "condition") else None}
-        children: list[Element] = []
-        if tag == "group":
-            attributes["scoped"] = _text(self.value(keyword(call, "scoped")))
-            children = [e for action in self.actions(call) for e in self.of(action)]
-        elif tag == "push_ros_namespace":
-            attributes["namespace"] = self.namespace(first or keyword(call, "namespace"))
-        elif tag == "arg":
-            attributes["name"] = self.value(first or keyword(call, "name"))
-            attributes["default"] = _text(self.value(keyword(call, "default_value")))
-        elif tag == "include":
-            attributes["file"] = _text(self.value(first)) or "$(unknown)"
-            children = self.passed(call)
-        else:
-            plain = {n: self.value(keyword(call, n)) for n in ("package", "executable", "plugin")}
-            attributes |= {
-                "pkg": plain["package"],
-                "exec": plain["executable"] or plain["plugin"],
-                "name": self.value(keyword(call, "name")),
-                "namespace": self.namespace(keyword(call, "namespace")),
-                "args": " ".join(map(str, self.items(keyword(call, "arguments")))),
-            }
-            children = [*self.parameters(call), *self.remappings(call)]
-            nested = keyword(call, "composable_node_descriptions")
-            children += self.of(nested) if nested is not None else []
-        return self.element(tag, _span(call, self.file), children, attributes)
-
-    def actions(self, group: ast.Call) -> list[ast.expr]:
-        """Returns the actions of a group; names stand for the only value that a file gives them."""
-        listed = self.named(group.args[0] if group.args else keyword(group, "actions"))
-        if not isinstance(listed, ast.List | ast.Tuple):
-            return [listed] if listed is not None else []
-        items = [item.value if isinstance(item, ast.Starred) else item for item in listed.elts]
-        return [self.named(item) or item for item in items]
-
-    def named(self, node: ast.expr | None) -> ast.expr | None:
-        known = self.names.get(node.id) if isinstance(node, ast.Name) else None
-        return known if known is not None else node
-
-    def passed(self, include: ast.Call) -> list[Element]:
-        """Returns the arguments in ``launch_arguments``, the items of a dict."""
-        node = keyword(include, "launch_arguments")
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
-            node = node.func.value
-        node = self.named(node)
-        if not isinstance(node, ast.Dict):
-            return []
-        return [
-            self.element(
-                "arg",
-                _span(value, self.file),
-                [],
-                {"name": self.value(key), "value": self.namespace(value)},
-            )
-            for key, value in zip(node.keys, node.values, strict=True)
-        ]
-
-    def namespace(self, node: ast.expr | None) -> str:
-        """Returns a text; an unknown value is the text of its expression."""
-        value = _text(self.value(node))
-        return value or "" if node is None or value is not None else f"<{ast.unparse(node)[:80]}>"
+        stated = {k.arg: _text(self.value(k.value)) for k in call.keywords if k.arg}
+        attributes = {_KEYWORDS.get(name, name): text for name, text in stated.items()}
+        if call.args and tag in ("arg", "include"):
+            attributes["name" if tag == "arg" else "file"] = _text(self.value(call.args[0]))
+        attributes["args"] = " ".join(map(str, self.items(keyword(call, "arguments"))))
+        children = [*self.parameters(call), *self.remappings(call)]
+        return self.element(tag, _span(call, self.file), attributes, children)
 
     def items(self, node: ast.expr | None) -> list[Any]:
         value = self.value(node)
         return [item for item in value if item is not None] if isinstance(value, list) else []
 
     def parameters(self, call: ast.Call) -> Iterator[Element]:
-        listed = self.named(keyword(call, "parameters"))
+        listed = keyword(call, "parameters")
+        if isinstance(listed, ast.Name):
+            listed = self.names.get(listed.id)
         for item in listed.elts if isinstance(listed, ast.List | ast.Tuple) else ():
             value, span = self.value(item), _span(item, self.file)
             if isinstance(value, str):
-                yield self.element("param", span, [], {"from": value})
+                yield self.element("param", span, {"from": value})
             spans = {
                 key.value: _span(inner, self.file)
                 for key, inner in zip(item.keys, item.values, strict=True)
@@ -183,13 +119,13 @@ class _PythonElements:
                 place = spans.get(name, span)
                 kind = "str" if isinstance(entry, str) else None
                 attributes = {"name": name, "value": text, "type": kind}
-                yield self.element("param", place, [], attributes)
+                yield self.element("param", place, attributes)
 
     def remappings(self, call: ast.Call) -> Iterator[Element]:
         for pair in self.items(keyword(call, "remappings")):
             if isinstance(pair, list) and len(pair) == 2:
                 names = dict(zip(("from", "to"), pair, strict=True))
-                yield self.element("remap", _span(call, self.file), [], names)
+                yield self.element("remap", _span(call, self.file), names)
 
     def value(self, node: ast.expr | None) -> Any:
         """Returns a text, number, flag, list or dict; ``None`` stands for an unknown value.
@@ -279,57 +215,25 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
 # -- XML and YAML ------------------------------------------------------------------------
 
 _SUBSTITUTION = re.compile(r"\$\(([\w-]+)\s*([^()]*)\)")
-_PUSHES = ("push-ros-namespace", "push_ros_namespace")
 
 
 def read_xml(root: Element, file: str, path: Path) -> facts.LaunchFile:
     """Reads the element ``<launch>`` of an XML launch file."""
-    launch = facts.LaunchFile(file, path)
-    defaults = launch.defaults = {
+    launch = facts.LaunchFile(path)
+    elements = walk(root)
+    defaults = {
         element.attributes.get("name", ""): element.attributes["default"]
-        for element in walk(root)
+        for element in elements
         if element.tag == "arg" and "default" in element.attributes
     }
-
-    def collect(element: Element, conditional: bool, namespace: str) -> None:
-        for child in element.children:
-            attributes = child.attributes
-            decided = conditional or "if" in attributes or "unless" in attributes
-            own = join(namespace, attributes.get("namespace", attributes.get("ns", "")))
-            if child.tag == "include":
-                name = substituted(attributes.get("file", ""), defaults)
-                if name is not None:
-                    fact = Fact("launch file", "launch file", name, child.span)
-                    passed = {
-                        arg.attributes.get("name", ""): arg.attributes.get("value")
-                        for arg in child.children
-                    }
-                    launch.includes.append(facts.LaunchInclude(fact, own, passed, decided))
-            elif child.tag in ("node", "composable_node"):
-                launch.nodes.append(_node_of(child, defaults, decided, own))
-                collect(child, decided, namespace)
-            elif child.tag not in _PUSHES:
-                pushed = _pushed(child) if attributes.get("scoped") != "false" else ""
-                collect(child, decided, join(own, pushed))
-
-    collect(root, False, _pushed(root))
+    for element in elements:
+        if element.tag in ("node", "composable_node"):
+            launch.nodes.append(_node_of(element, defaults))
+        elif element.tag == "include":
+            name = substituted(element.attributes.get("file", ""), defaults)
+            fact = Fact("launch file", "launch file", name, element.span)
+            launch.includes += [fact] if name else []
     return launch
-
-
-def join(*namespaces: str) -> str:
-    """Returns the name space in which name spaces are one inside of the other."""
-    return "/".join(filter(None, (namespace.strip("/") for namespace in namespaces)))
-
-
-def _pushed(element: Element) -> str:
-    """Returns the name space that an element pushes, also in groups without a scope."""
-    names = [
-        child.attributes.get("namespace", "") if child.tag in _PUSHES else _pushed(child)
-        for child in element.children
-        if child.tag in _PUSHES
-        or (child.tag == "group" and child.attributes.get("scoped") == "false")
-    ]
-    return join(*names)
 
 
 def read_yaml(document: Node, file: str, path: Path) -> facts.LaunchFile:
@@ -359,16 +263,14 @@ def _element(tag: str, node: Node, path: Path) -> Element:
     return Element(tag, attributes, tuple(children), "", span, (), path)
 
 
-def _node_of(
-    element: Element, defaults: dict[str, str], conditional: bool, namespace: str
-) -> facts.LaunchedNode:
+def _node_of(element: Element, defaults: dict[str, str]) -> facts.LaunchedNode:
     attributes = element.attributes
     parameters: dict[str, Fact] = {}
     files: list[Fact] = []
-    remappings: list[tuple[str, str]] = []
+    remappings: list[str] = []
     for child in element.children:
         if child.tag == "remap":
-            remappings.append((child.attributes.get("from", ""), child.attributes.get("to", "")))
+            remappings.append(child.attributes.get("to", ""))
         if child.tag not in ("param", "rosparam"):
             continue
         source = child.attributes.get("from") or child.attributes.get("file")
@@ -383,13 +285,11 @@ def _node_of(
         package=attributes.get("pkg", ""),
         executable=attributes.get("exec", attributes.get("type", attributes.get("plugin", ""))),
         name=attributes.get("name", ""),
-        namespace=namespace,
         span=element.span,
         parameters=parameters,
         parameter_files=tuple(files),
         remappings=tuple(remappings),
         arguments=tuple(attributes.get("args", "").split()),
-        conditional=conditional,
     )
 
 
@@ -422,47 +322,6 @@ def _scalar(text: str | None) -> Any:
         return float(text)
     except ValueError:
         return text
-
-
-# -- the tree of launch files ---------------------------------------------------------------
-
-MAX_LAUNCH_FILES = 200
-
-
-def launched_nodes(
-    launch: facts.LaunchFile, evidence: facts.Evidence
-) -> Iterator[facts.LaunchedNode]:
-    """Yields the nodes of a launch file and of the files that it includes without condition.
-
-    Their name spaces are complete; an argument of unknown value is a name space of its own.
-    """
-    by_path = {os.path.realpath(other.path): other for other in evidence.launches}
-    open_files: list[tuple[facts.LaunchFile, str, dict[str, str]]] = [(launch, "", {})]
-    known: set[tuple[str, str, str]] = set()
-    while open_files and len(known) < MAX_LAUNCH_FILES:
-        current, outer, passed = open_files.pop()
-        values = {**current.defaults, **passed}
-        for node in current.nodes:
-            yield replace(node, namespace=join(outer, _filled(node.namespace, values)))
-        for include in current.includes:
-            path = resolved(include.file, current, evidence)
-            real = os.path.realpath(path) if path is not None else ""
-            namespace = join(outer, _filled(include.namespace, values))
-            arguments = {
-                name: _filled(value or f"<{name}>", values)
-                for name, value in include.arguments.items()
-            }
-            key = (real, namespace, str(arguments))
-            if not include.conditional and real in by_path and key not in known:
-                known.add(key)
-                open_files.append((by_path[real], namespace, arguments))
-
-
-_VARIABLE = re.compile(r"\$\((?:var|arg)\s+([\w-]+)\s*\)")
-
-
-def _filled(text: str, values: Mapping[str, str]) -> str:
-    return _VARIABLE.sub(lambda match: values.get(match[1], f"<{match[1]}>"), text)
 
 
 def resolved(fact: Fact, launch: facts.LaunchFile, evidence: facts.Evidence) -> Path | None:

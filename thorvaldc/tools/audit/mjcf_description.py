@@ -1,226 +1,175 @@
-"""Converts MJCF files to URDF elements: bodies, joints with their defaults, geoms.
+"""Converts MJCF files, as MuJoCo compiles them, to URDF elements.
 
-Numbers that MuJoCo computes, such as masses from densities, are left out.
+Numbers that MuJoCo computes from others, such as masses from densities, are left out.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
 
-from thorvaldc.compiler.descriptions.facts import FileDescription
-from thorvaldc.compiler.extras.plugin_facts import numbers
+from thorvaldc.compiler.descriptions.facts import FileDescription, UnreadableFileError
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.diagnostics import Report
-from thorvaldc.model import Pose, Vec3, spatial
-from thorvaldc.tools.audit.descriptions import UrdfElements, read_description, vector
+from thorvaldc.model import Pose
+from thorvaldc.tools.audit.descriptions import MAX_DEPTH, UrdfElements, read_description
 
-Include = Callable[[str, Element], Element | None]
-MAX_INCLUDES = 50
+Include = Callable[[Element], Element]
+MAX_PARTS = 6000  # the time in which MuJoCo compiles a model grows with their square
+WORLD = "world"
+# Other elements and attributes are not handed to MuJoCo: they name files and elements that are not
+# read, or make any number of bodies.
+_READ = (
+    *("mujoco", "compiler", "default", "worldbody", "body", "frame", "inertial", "joint"),
+    *("freejoint", "geom", "site", "camera", "include"),
+)
+_LEFT_OUT = ("material", "hfield", "target", "user", "fluidshape", "fitscale")
 
 
 def read_mjcf_description(
-    root: Element, file: str, path: Path, include: Include, report: Report
+    root: Element, file: str, path: Path, include: Include
 ) -> FileDescription | None:
     """Returns the robot of a ``<mujoco>`` document, or ``None`` if it has no bodies with joints.
 
-    - ``include``: function that returns the root element of an included file, or ``None``.
+    - ``include``: function that returns the root of the file that an ``<include>`` names.
+
+    Raises ``UnreadableFileError`` if MuJoCo rejects the document, or if it is too large.
     """
+    import mujoco
+
+    from thorvaldc.simulation.physics.mujoco_scene import call_without_warnings
+
     name = root.attributes.get("model", Path(file).name)
     description = FileDescription(format="MJCF", name=name, file=file, path=path)
-    sections = _with_includes(root, include, [0]).children
-    reader = _Reader()
-    for section in sections:
-        if section.tag == "compiler":
-            reader.read_compiler(section)
-        elif section.tag == "default":
-            reader.read_defaults(section, "main", {})
-    for section in sections:
-        if section.tag == "worldbody":
-            reader.children(section, "", "main", Pose())
-    read_description(description, reader.elements, report)
-    description.frames = reader.frames
+    elements: list[Element] = []
+    text = "".join(_lines(root, include, elements))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of attributes that later versions will not have
+            spec = call_without_warnings(mujoco.MjSpec.from_string, text)
+            reader = _Reader(spec, elements)
+            model = call_without_warnings(spec.compile)
+    except ValueError as error:
+        reason, _, place = str(error).removeprefix("XML Error: ").partition("\n")
+        line = place.rpartition("line ")[2].strip()
+        span = elements[int(line) - 1].span if line.isdecimal() else root.span
+        reason = reason.removeprefix("Error: ")
+        raise UnreadableFileError(f"MuJoCo rejects it: {reason}", span) from None
+    read_description(description, list(reader.elements_of(model)), Report())
+    description.frames = {part.name for part in (*spec.sites, *spec.cameras)}
     return description if description.joints else None
 
 
-def _with_includes(element: Element, include: Include, count: list[int]) -> Element:
-    """Returns an element in which the content of included files replaces ``<include>``."""
-    children: list[Element] = []
-    for child in element.children:
-        if child.tag != "include":
-            children.append(_with_includes(child, include, count))
-            continue
-        count[0] += 1
-        inner = include(child.attributes.get("file", ""), child)
-        if inner is not None and count[0] <= MAX_INCLUDES:
-            children += _with_includes(inner, include, count).children
-    return replace(element, children=tuple(children))
+def _lines(
+    element: Element, include: Include, elements: list[Element], depth: int = 0
+) -> Iterator[str]:
+    """Yields the text of an element: each start tag is a line, whose number MuJoCo keeps.
+
+    An ``<include>`` is an empty line before the content of the other file.
+    """
+    elements.append(element)
+    if len(elements) > MAX_PARTS or depth > MAX_DEPTH:
+        text = f"it has more than {MAX_PARTS} elements or {MAX_DEPTH} levels, with its includes"
+        raise UnreadableFileError(text)
+    named = ((n, v) for n, v in element.attributes.items() if n not in _LEFT_OUT)
+    is_include = element.tag == "include"
+    text = f"<{element.tag}{''.join(f' {n}={quoteattr(v)}' for n, v in named)}>"
+    yield "\n" if is_include else f"{text}\n"
+    for child in include(element).children if is_include else element.children:
+        if child.tag in _READ:
+            yield from _lines(child, include, elements, depth + 1)
+    yield "" if is_include else f"</{element.tag}>"
 
 
 class _Reader:
-    """Collects the URDF elements of the bodies; the frame of a body lies at its first joint."""
+    """Makes the URDF elements of the bodies; the frame of a link lies at its first joint.
 
-    def __init__(self) -> None:
-        self.elements: list[Element] = []
-        self.frames: set[str] = set()
-        self.angle = math.pi / 180.0
-        self.sequence = "xyz"
-        self.defaults: dict[str, dict[str, dict[str, str]]] = {"main": {}}
+    - ``sources``: element of the file that each line of the text of ``spec`` contains.
+    """
 
-    def read_compiler(self, element: Element) -> None:
-        if element.attributes.get("angle") == "radian":
-            self.angle = 1.0
-        self.sequence = element.attributes.get("eulerseq", self.sequence)
+    def __init__(self, spec: Any, sources: list[Element]) -> None:
+        self.spec, self.sources = spec, sources
+        self.meshes: dict[Any, str] = {}
+        self.inertials: dict[Any, Element] = {}
+        # MuJoCo compiles only models with their mesh files and with valid masses.
+        spec.compiler.fusestatic = spec.compiler.discardvisual = False
+        for geom in spec.geoms:
+            if geom.meshname or geom.type.name in ("mjGEOM_MESH", "mjGEOM_HFIELD", "mjGEOM_SDF"):
+                self.meshes[geom] = geom.meshname or "mesh"
+                geom.meshname, geom.type, geom.size = "", type(geom.type).mjGEOM_BOX, [1, 1, 1]
+        for body in spec.bodies[1:]:
+            if body.explicitinertial:
+                self.inertials[body] = self.inertial(body)
+            body.explicitinertial, body.mass, body.inertia = True, 1.0, [1.0, 1.0, 1.0]
+            body.fullinertia = [math.nan] * 6
 
-    def read_defaults(self, element: Element, name: str, parent: dict[str, dict[str, str]]) -> None:
-        values = {tag: dict(attributes) for tag, attributes in parent.items()}
-        for child in element.children:
-            if child.tag != "default":
-                values.setdefault(child.tag, {}).update(child.attributes)
-        name = element.attributes.get("class", name)
-        self.defaults[name] = values
-        for child in element.children:
-            if child.tag == "default":
-                self.read_defaults(child, child.attributes.get("class", ""), values)
+    def inertial(self, body: Any) -> Element:
+        full, urdf = body.fullinertia, self.urdf(body, "inertial")
+        moments = [*body.inertia, 0, 0, 0] if math.isnan(full[0]) else full
+        stated = {name: str(moment) for name, moment in zip(_MOMENTS, moments, strict=True)}
+        mass = urdf.element("mass", value=str(body.mass))
+        return urdf.element("inertial", mass, urdf.element("inertia", **stated))
 
-    def attributes(self, element: Element, class_name: str) -> dict[str, str]:
-        """Returns the attributes of an element with those of its default class."""
-        chosen = element.attributes.get("class", class_name)
-        values = self.defaults.get(chosen, self.defaults["main"])
-        return {**values.get(element.tag, {}), **element.attributes}
+    def urdf(self, part: Any, child: str = "") -> UrdfElements:
+        if not part.info:  # MuJoCo does not keep the line of a <freejoint>
+            return self.urdf(part.parent, "freejoint")
+        source = self.sources[int(part.info.removeprefix("line ")) - 1]
+        return UrdfElements(source.find(child) or source)
 
-    def pose(self, attributes: dict[str, str]) -> Pose:
-        position = vector(attributes.get("pos"))
-        quat = numbers(attributes.get("quat"), 4)
-        if quat is not None and any(quat):
-            return Pose(position, spatial.quat_normalize((quat[0], quat[1], quat[2], quat[3])))
-        rotation = (1.0, 0.0, 0.0, 0.0)
-        euler = numbers(attributes.get("euler"), 3) or ()
-        for letter, value in zip(self.sequence, euler, strict=False):
-            turn = spatial.quat_from_axis_angle(
-                _AXES.get(letter.lower(), (1.0, 0.0, 0.0)), value * self.angle
-            )
-            # Small letters are axes that turn with the frame.
-            pair = (rotation, turn) if letter.islower() else (turn, rotation)
-            rotation = spatial.quat_multiply(*pair)
-        return Pose(position, spatial.quat_normalize(rotation))
+    def name(self, part: Any, kind: str) -> str:
+        place = self.urdf(part).source.span
+        return part.name or f"{kind} at {place.file}, line {place.line}, column {place.column}"
 
-    def children(
-        self, element: Element, owner: str, class_name: str, offset: Pose
-    ) -> list[Element]:
-        """Reads the elements in a body, or in a ``<frame>`` at the pose ``offset`` in the body.
+    def elements_of(self, model: Any) -> Iterator[Element]:
+        anchors = {0: Pose()}
+        for body in self.spec.bodies[1:]:
+            index, parent, urdf = body.id, body.parent, self.urdf(body)
+            name, above = self.name(body, "body"), WORLD
+            anchor = _pose(model.jnt_pos[model.body_jntadr[index]]) if body.joints else Pose()
+            pose = _pose(model.body_pos[index], model.body_quat[index]) * anchor
+            anchors[index] = anchor
+            if parent.id:
+                above, pose = self.name(parent, "body"), anchors[parent.id].inverse() * pose
+            shapes = [self.shape(geom, anchor.inverse(), model) for geom in body.geoms]
+            yield urdf.element("link", self.inertials.get(body), *shapes, name=name)
+            if parent.id and not body.joints:
+                yield urdf.joint(f"fixed joint of {name}", "fixed", above, name, pose)
+            for joint in body.joints:
+                kind = _KINDS.get(joint.type.name, "ball")
+                limits = model.jnt_range[joint.id].tolist() if model.jnt_limited[joint.id] else ()
+                placed = (above, name, pose, model.jnt_axis[joint.id].tolist())
+                yield self.urdf(joint).joint(self.name(joint, "joint"), kind, *placed, limits)
+                above = WORLD  # the first joint connects the body
 
-        Returns the URDF elements of the link; those of the bodies inside are collected.
-        """
-        class_name = element.attributes.get("childclass", class_name)
-        parts: list[Element] = []
-        for child in element.children:
-            if child.tag == "body":
-                self.body(child, owner, class_name, offset)
-            elif child.tag == "frame":
-                inner = offset * self.pose(child.attributes)
-                parts += self.children(child, owner, class_name, inner)
-            elif child.tag == "geom":
-                parts += self.geom(child, class_name, offset)
-            elif child.tag in ("site", "camera"):
-                self.frames.add(child.attributes.get("name", ""))
-            elif child.tag == "inertial":
-                parts += _inertial(child)
-        return parts
-
-    def body(self, element: Element, parent: str, class_name: str, offset: Pose) -> None:
-        name = element.attributes.get("name") or f"body at {_place(element)}"
-        class_name = element.attributes.get("childclass", class_name)
-        joints = [
-            (child, self.attributes(child, class_name))
-            for child in element.children
-            if child.tag in ("joint", "freejoint")
-        ]
-        anchor = Pose(vector(joints[0][1].get("pos"))) if joints else Pose()
-        pose = offset * self.pose(element.attributes) * anchor
-        for index, (child, attributes) in enumerate(joints):
-            # With several joints, the first connects the body; the others get places of their own.
-            self.joint(child, attributes, parent if index == 0 else "", name, pose)
-        if not joints and parent:
-            fixed = f"fixed joint of {name}"
-            self.elements.append(UrdfElements(element).joint(fixed, "fixed", parent, name, pose))
-        link = len(self.elements)
-        parts = self.children(element, name, class_name, anchor.inverse())
-        self.elements.insert(link, UrdfElements(element).element("link", *parts, name=name))
-
-    def joint(
-        self, element: Element, attributes: dict[str, str], parent: str, child: str, pose: Pose
-    ) -> None:
-        kind = "free" if element.tag == "freejoint" else attributes.get("type", "hinge")
-        name = element.attributes.get("name") or f"joint at {_place(element)}"
-        limits = numbers(attributes.get("range"), 2) or ()
-        if attributes.get("limited", "auto") == "false":
-            limits = ()
-        factor = self.angle if kind == "hinge" else 1.0
-        axis = vector(attributes.get("axis"), (0.0, 0.0, 1.0))
-        joint = UrdfElements(element).joint(
-            *(name, _KINDS.get(kind, kind), parent or WORLD, child, pose, axis),
-            [factor * limit for limit in limits],
-        )
-        self.elements.append(joint)
-
-    def geom(self, element: Element, class_name: str, offset: Pose) -> list[Element]:
+    def shape(self, geom: Any, X_LB: Pose, model: Any) -> Element | None:
         """Returns the shape of a geom; a capsule and a tyre become cylinders."""
-        attributes = self.attributes(element, class_name)
-        kind = attributes.get("type", "mesh" if "mesh" in attributes else "sphere")
-        words = attributes.get("size", "").split()
-        size = numbers(" ".join(words), len(words)) or ()
-        pose = self.pose(attributes)
-        ends = numbers(attributes.get("fromto"), 6)
-        if ends is not None and size:
-            start, end = (ends[0], ends[1], ends[2]), (ends[3], ends[4], ends[5])
-            along = spatial.sub(end, start)
-            if spatial.norm(along) > 0.0:
-                middle = spatial.scale(0.5, spatial.add(start, end))
-                pose = Pose(middle, spatial.quat_from_z_to(_unit(along)))
-                size = (size[0], spatial.norm(along) / 2.0)
-        values: dict[str, str] = {}
-        if kind == "box" and len(size) == 3:
-            values = {"size": " ".join(repr(2.0 * edge) for edge in size)}
-        elif kind in ("cylinder", "capsule") and len(size) >= 2:
-            kind, values = "cylinder", {"radius": repr(size[0]), "length": repr(2.0 * size[1])}
-        elif kind == "sphere" and size:
-            values = {"radius": repr(size[0])}
-        elif kind == "ellipsoid" and len(size) == 3 and math.isclose(size[0], size[1]):
-            kind, values = "cylinder", {"radius": repr(size[0]), "length": repr(2.0 * size[2])}
-        elif kind in ("mesh", "ellipsoid"):
-            kind, values = "mesh", {"filename": attributes.get("mesh", kind)}
+        kind, (a, b, c) = geom.type.name.removeprefix("mjGEOM_").lower(), model.geom_size[geom.id]
+        urdf, values = self.urdf(geom), {}
+        if geom in self.meshes or (kind == "ellipsoid" and not math.isclose(a, b)):
+            kind, values = "mesh", {"filename": self.meshes.get(geom, kind)}
+        elif kind == "box":
+            values = {"size": f"{2.0 * a} {2.0 * b} {2.0 * c}"}
+        elif kind == "sphere":
+            values = {"radius": str(a)}
+        elif kind in ("cylinder", "capsule", "ellipsoid"):
+            length = c if kind == "ellipsoid" else b
+            kind, values = "cylinder", {"radius": str(a), "length": str(2.0 * length)}
         else:
-            return []
-        collides = any(attributes.get(name, "1") != "0" for name in ("contype", "conaffinity"))
-        urdf = UrdfElements(element)
+            return None
+        pose = X_LB * _pose(model.geom_pos[geom.id], model.geom_quat[geom.id])
+        tag = "collision" if geom.contype or geom.conaffinity else "visual"
         geometry = urdf.element("geometry", urdf.element(kind, **values))
-        tag = "collision" if collides else "visual"
-        return [urdf.element(tag, urdf.origin(offset * pose), geometry)]
+        return urdf.element(tag, urdf.origin(pose), geometry)
 
 
-WORLD = "world"
-_AXES: dict[str, Vec3] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-_KINDS = {"hinge": "revolute", "slide": "prismatic", "free": "floating"}
+_KINDS = {"mjJNT_HINGE": "revolute", "mjJNT_SLIDE": "prismatic", "mjJNT_FREE": "floating"}
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
-def _inertial(element: Element) -> list[Element]:
-    """Returns the mass and the inertia, if both are stated."""
-    inertia = element.attributes.get("diaginertia", element.attributes.get("fullinertia", ""))
-    mass, urdf = element.attributes.get("mass"), UrdfElements(element)
-    if mass is None or not inertia:
-        return []
-    moments = dict(zip(_MOMENTS, inertia.split(), strict=False))
-    parts = (urdf.element("mass", value=mass), urdf.element("inertia", **moments))
-    return [urdf.element("inertial", *parts)]
-
-
-def _place(element: Element) -> str:
-    return f"{element.span.file}, line {element.span.line}, column {element.span.column}"
-
-
-def _unit(a: Vec3) -> Vec3:
-    return spatial.scale(1.0 / spatial.norm(a), a)
+def _pose(position: Any, quat: Any = (1.0, 0.0, 0.0, 0.0)) -> Pose:
+    (x, y, z), (a, b, c, d) = position, quat
+    return Pose((float(x), float(y), float(z)), (float(a), float(b), float(c), float(d)))

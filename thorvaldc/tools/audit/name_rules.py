@@ -9,11 +9,10 @@ from thorvaldc.compiler.descriptions.facts import Fact, FileDescription
 from thorvaldc.diagnostics import Label, Report, did_you_mean
 from thorvaldc.tools.audit.audit_facts import (
     Evidence,
-    LaunchedNode,
+    affinity,
     closest,
-    is_nearer,
 )
-from thorvaldc.tools.audit.launch_files import launched_nodes, resolved
+from thorvaldc.tools.audit.launch_files import resolved
 from thorvaldc.tools.audit.parameter_facts import published_frames
 
 
@@ -30,7 +29,8 @@ def check_joint_names(evidence: Evidence, report: Report) -> None:
         related = evidence.related(file, names)
         if not related and not evidence.incomplete:
             related = evidence.related(file)
-        if related and any(is_nearer(file, u, related[0].file) for u in evidence.incomplete):
+        unread = max((affinity(file, name) for name in evidence.incomplete), default=-1)
+        if related and unread >= affinity(file, related[0].file):
             continue
         for fact in facts:
             if related and not any(fact.value in d.joints for d in evidence.descriptions):
@@ -56,8 +56,7 @@ def _report_joint(fact: Fact, description: FileDescription, report: Report) -> N
 def check_launched_files(evidence: Evidence, report: Report) -> None:
     """Reports parameter files and launch files that do not exist in their package."""
     for launch in evidence.launches:
-        includes = [include.file for include in launch.includes]
-        files = [*includes, *(f for node in launch.nodes for f in node.parameter_files)]
+        files = [*launch.includes, *(f for node in launch.nodes for f in node.parameter_files)]
         for fact in files:
             path = resolved(fact, launch, evidence)
             is_local = str(fact.value).startswith("package://")
@@ -131,23 +130,3 @@ def _report_owners(estimator: Fact, other: Fact, switch: str, report: Report) ->
         hint=f"let the estimator publish it, and set {switch} to false",
         labels=[Label(other.span, "the other owner")],
     )
-
-
-def check_state_publishers(evidence: Evidence, report: Report) -> None:
-    """Reports launch files that start two robot_state_publishers in one name space."""
-    for launch in evidence.launches:
-        known: dict[str, LaunchedNode] = {}
-        for node in launched_nodes(launch, evidence):
-            if node.executable != "robot_state_publisher" or node.conditional:
-                continue
-            first = known.setdefault(node.namespace, node)
-            if first is not node and first.span != node.span:
-                report.add(
-                    "audit-state-publishers",
-                    f"`{launch.file}` starts two robot_state_publishers"
-                    f" {f'in the name space `{node.namespace}`' if node.namespace else ''}".strip()
-                    + ": both publish the transforms of the robot",
-                    node.span,
-                    hint="start it in one launch file, or give each robot its name space",
-                    labels=[Label(first.span, "the other one")],
-                )

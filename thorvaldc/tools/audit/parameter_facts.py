@@ -143,7 +143,7 @@ def launched_facts(evidence: Evidence) -> list[Fact]:
             subject = f"`{node.name or node.executable or 'node'}`"
             for name, fact in node.parameters.items():
                 facts += _parameter_facts(subject, name, fact.value, fact.span)
-            for _, target in node.remappings:
+            for target in node.remappings:
                 if target.endswith("cmd_vel_unstamped"):
                     text = f"{subject} (remapping to {target})"
                     facts.append(Fact("stamped", text, False, node.span))

@@ -14,7 +14,6 @@ from thorvaldc.model import Pose, Vec3
 from thorvaldc.model.spatial import scale
 from thorvaldc.tools.audit.descriptions import (
     UrdfElements,
-    check_tree,
     read_description,
     vector,
 )
@@ -81,7 +80,7 @@ class _Model:
         read_description(description, [*elements, *joints], report)
         # Links of models inside of this one are not read.
         ends = (end for j in description.joints.values() for end in (j.parent, j.child))
-        check_tree(description, report, [*self.named, "world", *(e for e in ends if "::" in e)])
+        description.check_joints(report, [*self.named, "world", *(e for e in ends if "::" in e)])
         for joint in list(description.joints.values()):
             if joint.child not in description.links:
                 del description.joints[joint.name]

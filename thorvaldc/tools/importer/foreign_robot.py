@@ -117,28 +117,14 @@ def read_robot(
 
 def _add_parts(description: FileDescription, parts: UrdfParts, report: Report) -> None:
     """Adds the links and joints, which must form one tree."""
-    for kind, new in (("link", parts.links), ("joint", parts.joints)):
-        names: dict[str, Span] = {}
-        for part in new:
-            if part.name in names:
-                text = f"{kind} `{part.name}` is defined twice"
-                labels = [Label(names[part.name], "first here")]
-                report.add("audit-description-broken", text, part.span, labels=labels)
-            names.setdefault(part.name, part.span)
-    description.links |= {link.name: link for link in parts.links}
-    description.joints |= {joint.name: joint for joint in parts.joints}
-    description.places |= parts.places
-    parents: dict[str, str] = {}
+    description.add_parts(parts.links, parts.joints, parts.places, report)
+    description.check_joints(report)
+    parents: set[str] = set()
     for joint in parts.joints:
-        for role, link in (("parent", joint.parent), ("child", joint.child)):
-            if link not in description.links:
-                text = f"the {role} of joint `{joint.name}` is link `{link}`, which does not exist"
-                hint = did_you_mean(link, list(description.links), fixable=False)
-                report.add("audit-description-broken", text, joint.span, hint=hint)
         if joint.child in parents:
             text = f"link `{joint.child}` is the child of two joints"
             report.add("audit-description-broken", text, joint.span)
-        parents[joint.child] = joint.parent
+        parents.add(joint.child)
     roots = [link for link in description.links if link not in parents]
     if len(roots) != 1 and description.links:
         shown = ", ".join(f"`{name}`" for name in roots[:4]) or "none"
