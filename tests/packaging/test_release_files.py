@@ -43,6 +43,7 @@ def test_the_steps_of_the_dockerfile_in_a_plain_folder(tmp_path: Path) -> None:
     robots.mkdir()
     (robots / "robot.yaml").write_text(GOOD, encoding="utf-8")
     variables = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    variables["PIP_NO_COMPILE"] = "0"  # pip reads it as `compile`: no bytecode of all packages
 
     def run(*command: str) -> subprocess.CompletedProcess[str]:
         command = tuple(re.sub("/(opt|source)\\b", rf"{tmp_path}/\1", part) for part in command)
