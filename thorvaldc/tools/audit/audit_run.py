@@ -193,6 +193,7 @@ class _Reader:
 
 MAX_FILES = 3000
 MAX_ENTRIES = 200_000
+MAX_DEPTH = 24
 MAX_BYTES = 8_000_000
 MAX_TOTAL_BYTES = 200_000_000
 
@@ -278,6 +279,9 @@ def _walk(root: Path, display: str, result: Survey, report: Report) -> None:
             result.left_out.append(f"`{shown}` ({marks[0]})")
             folders.clear()
             continue
+        if len(Path(folder).relative_to(root).parts) >= MAX_DEPTH and folders:
+            _report_limit(shown, f"is more than {MAX_DEPTH} levels deep", report)
+            folders.clear()
         if "package.xml" in files:
             _read_package(Path(folder), result)
         for name in sorted(files):
@@ -289,10 +293,14 @@ def _walk(root: Path, display: str, result: Survey, report: Report) -> None:
         if len(result.files) > MAX_FILES or entries > MAX_ENTRIES:
             number = f"{MAX_FILES} robot" if len(result.files) > MAX_FILES else str(MAX_ENTRIES)
             del result.files[MAX_FILES:]
-            message = f"`{display}` contains more than {number} files; the rest is left out"
-            hint = "name the folder of one robot in it"
-            report.add("audit-limit", message, Span(display), hint=hint)
+            _report_limit(display, f"contains more than {number} files", report)
             return
+
+
+def _report_limit(folder: str, problem: str, report: Report) -> None:
+    message = f"`{folder}` {problem}; the rest is left out"
+    hint = "name the folder of one robot in it"
+    report.add("audit-limit", message, Span(folder), hint=hint)
 
 
 def _read_package(folder: Path, result: Survey) -> None:
