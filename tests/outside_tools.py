@@ -106,7 +106,8 @@ USD_CORE_PYTHON = ENVIRONMENTS / "usdcore/bin/python"
 """The Python of an environment with OpenUSD alone; made by ``.ci/run``."""
 WARP_PYTHON = ENVIRONMENTS / "warp/bin/python"
 """The Python of an environment with MuJoCo Warp and Newton; made by ``.ci/run``."""
-ALWAYS_HERE = frozenset(["sh", "bash"])  # programs of every system
+# Programs of every system; tests do without `chrt` where it is missing or not permitted.
+ALWAYS_HERE = frozenset(["sh", "bash", "chrt"])
 PLAIN_PROGRAMS = ("sh", "env", "cat", "false", "kill", "ls", "sleep", "stty", "true")
 """What the tests find in ``PATH`` with ``OUTSIDE=none``."""
 SYSTEM_FOLDERS = ("", "/bin", "/sbin", "/usr/bin", "/usr/sbin")
