@@ -209,6 +209,8 @@ def test_hostile_documents_end_in_bounded_time(cart: Path) -> None:
     (cart / "models/loop.xml").write_text(loop, "utf-8")
     many = "<mujoco><worldbody>" + "<body><joint/></body>" * 50_000 + "</worldbody></mujoco>"
     (cart / "models/many.xml").write_text(many, "utf-8")
+    named = '<mujoco><worldbody><body><geom class="%n%n%s"/><joint/></body></worldbody></mujoco>'
+    (cart / "models/format.xml").write_text(named, "utf-8")
     nested = "def generate_launch_description():\n    return " + "(" * 5000
     (cart / "launch/nested.launch.py").write_text(nested, "utf-8")
     sums = "def generate_launch_description():\n    return Node(name=" + "'a' + " * 3000 + "'a')\n"
@@ -221,6 +223,7 @@ def test_hostile_documents_end_in_bounded_time(cart: Path) -> None:
         "bomb.yaml",
         "code.xml",
         "entity.launch.xml",
+        "format.xml",
         "deep.xml",
         "nested.launch.py",
         "many.xml",

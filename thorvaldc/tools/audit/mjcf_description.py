@@ -75,7 +75,9 @@ def _lines(
     if len(elements) > MAX_PARTS or depth > MAX_DEPTH:
         text = f"it has more than {MAX_PARTS} elements or {MAX_DEPTH} levels, with its includes"
         raise UnreadableFileError(text)
-    named = ((n, v) for n, v in element.attributes.items() if n not in _LEFT_OUT)
+    named = [(n, v) for n, v in element.attributes.items() if n not in _LEFT_OUT]
+    if any("%" in value for _, value in named):  # MuJoCo formats its messages with these texts
+        raise UnreadableFileError("MuJoCo cannot read `%` in an attribute", element.span)
     is_include = element.tag == "include"
     text = f"<{element.tag}{''.join(f' {n}={quoteattr(v)}' for n, v in named)}>"
     yield "\n" if is_include else f"{text}\n"
