@@ -68,6 +68,7 @@ class Playground:
         self._driven: Robot | Fleet | None = None
         self._driven_name = ""
         self._files: dict[str, bytes] = {}
+        self._manifest: dict[str, bytes] = {}
         self._is_warm = False
         self._handlers: dict[str, Callable[[Message], Message | None]] = {
             "open": self._open,
@@ -133,7 +134,7 @@ class Playground:
 
     def _compile(self) -> None:
         self._compiled.compile()
-        self._files = {}
+        self._files, self._manifest = {}, {}
         self.advance()
         self._send(self._compiled.message(self._known))
         self.advance()
@@ -234,12 +235,21 @@ class Playground:
 
     def _build(self, message: Message) -> Message:
         report, error = Report(), ""
-        self._files = {}
-        if self._compiled.model is not None:
+        self._files, self._manifest = {}, {}
+        model, compilation = self._compiled.model, self._compiled.compilation
+        if model is not None:
             try:
-                self._files = emit(self._compiled.model, message["targets"], report)
+                self._files = emit(model, message["targets"], report)
             except DiagnosticError as raised:
                 error = str(raised)
+        if self._files and self._compiled.is_good and model is not None and compilation is not None:
+            data = manifest(
+                self._files,
+                name=model.name,
+                source_sha256=compilation.source_sha256,
+                version=__version__,
+            )
+            self._manifest = {MANIFEST: data}
         return {
             "kind": "files",
             "error": error,
@@ -258,18 +268,9 @@ class Playground:
             return {"kind": "file", "base64": base64.b64encode(data).decode()}
 
     def _archive(self, message: Message) -> Message:
-        """Packs what a build writes: the files, and a manifest if the robot has no errors."""
-        files, compilation = dict(self._files), self._compiled.compilation
-        if self._compiled.is_good and compilation is not None and compilation.model is not None:
-            files[MANIFEST] = manifest(
-                files,
-                name=compilation.model.name,
-                source_sha256=compilation.source_sha256,
-                version=__version__,
-            )
         stream = io.BytesIO()
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-            for path, data in sorted(files.items()):
+            for path, data in sorted((self._files | self._manifest).items()):
                 archive.writestr(zipfile.ZipInfo(path, DATE), data, zipfile.ZIP_DEFLATED)
         return {"kind": "archive", "base64": base64.b64encode(stream.getvalue()).decode()}
 

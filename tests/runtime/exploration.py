@@ -13,21 +13,19 @@ each source, and whether the source is heard::
     holders     who holds which stop
 
 What must hold is in ``_Explorer.judge_motion`` and beside each event.  A counterexample is the
-shortest one, and ``script`` writes it as a mission for tests/chaos.
+shortest one, and ``counterexample.script`` writes it as a mission for tests/chaos.
 """
 
 from __future__ import annotations
 
 import functools
 import gc
-import json
 import math
-import re
 import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from thorvaldc.model import TwistInput
 from thorvaldc.model.settings import SAFETY_STOP
@@ -549,51 +547,6 @@ def check_explored(permission: MotionPermission, now: float) -> None:
 
 def _anybody(owner: str) -> str:
     return owner if owner in ("", ENDED) else "a"
-
-
-# -- counterexamples ------------------------------------------------------------------------------
-
-_EVENT_PERIOD = 0.1
-"""Time (s) between two events of a mission: a few control cycles."""
-
-
-def script(violation: Violation) -> str:
-    """Returns the events before a violation as a mission of tests/chaos."""
-    events: list[dict[str, Any]] = []
-    at = 0.0
-    for name in violation.path:
-        at += _EVENT_PERIOD
-        events += [{"at": round(at, 3), **act} for act in _acts(name)]
-    lines = ",\n    ".join(json.dumps(event) for event in events)
-    head = {"robot": "differential_cia402", "seed": 1, "start": "ready"}
-    head["duration"] = round(at + 2.0, 3)
-    return json.dumps(head)[:-1] + ',\n  "events": [\n    ' + lines + "\n  ]}\n"
-
-
-def _acts(name: str) -> Iterator[dict[str, Any]]:
-    """Yields the acts of tests/chaos for an event; none for a control cycle, which comes anyway."""
-    client, _, rest = name.partition(" ")
-    call = {"act": "call", "client": client}
-    if match := re.fullmatch(r"publishes (.+): (\w+)", rest):
-        speed = {"zero": 0.0, "a step": STEP.vx, "a motion": FAST.vx}[match[1]]
-        yield {**call, "service": "twist", "arguments": {"source": match[2], "vx": speed}}
-    elif match := re.fullmatch(r"(sets|releases) (.+?)( by force)?", rest):
-        locked, force = match[1] == "sets", {"force": True} if match[3] else {}
-        if match[2] == "the safety stop":
-            service = "safety_stop" if locked else "release_safety_stop"
-            yield {**call, "service": service, "arguments": force}
-        else:
-            arguments = {"name": match[2], "locked": locked, **force}
-            yield {**call, "service": "lock", "arguments": arguments}
-    elif rest.startswith("arms"):
-        yield {**call, "service": "arm"}
-    elif rest == "ends":
-        yield {"act": "close", "client": client}
-    elif "gap in time" in name:
-        yield {"act": "stall", "seconds": 0.4 if "long" in name else 0.15}
-    elif name.startswith("a person "):
-        service = {"disarms": "disarm", "resets": "reset_faults", "homes": "home_steering"}
-        yield {"act": "call", "client": "person", "service": service[name.split()[-1]]}
 
 
 if __name__ == "__main__":

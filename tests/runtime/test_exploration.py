@@ -14,6 +14,7 @@ import pytest
 from tests.chaos import invariants
 from tests.chaos.schedule import Schedule
 from tests.chaos.seed_runner import in_copy, run_here, run_schedule
+from tests.runtime.counterexample import script
 from tests.runtime.exploration import (
     CONFIGURATIONS,
     JOY,
@@ -23,7 +24,6 @@ from tests.runtime.exploration import (
     Violation,
     about_one_source,
     explore,
-    script,
     small_classes,
 )
 from tests.slow import mostly_slow, one_quick_of

@@ -381,3 +381,14 @@ def test_arguments_of_a_xacro_file(
     assert "the file does not use the argument `radus`" in capsys.readouterr().err
     assert {w.radius for w in compiled(tmp_path / "cart" / "robot.yaml")[0].wheels} >= {0.12}
     assert run("a.yaml", "b.yaml", "-o", "new") == 2
+
+
+def test_a_macro_that_is_called_twice_with_one_name_is_an_error(tmp_path: Path) -> None:
+    marker = '<xacro:macro name="marker"><link name="marker"/></xacro:macro>'
+    calls = "<xacro:marker/><xacro:marker/>"
+    text = differential().replace("</robot>", f"{marker}{calls}</robot>")
+    text = text.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
+    path = written(tmp_path, "cart", text)
+    result = import_urdf(path.rename(path.with_suffix(".xacro")))
+    assert "link `marker` is defined twice" in said(result, "audit-description-broken")[0][2]
+    assert not result.files

@@ -63,20 +63,31 @@ class FileDescription(Description):
     facts: list[Fact] = field(default_factory=list)
 
     def add_parts(
-        self, links: Sequence[Link], joints: Sequence[Joint], places: Places, report: Report
+        self,
+        links: Sequence[Link],
+        joints: Sequence[Joint],
+        places: Places,
+        report: Report,
+        *,
+        is_guessed: bool = False,
     ) -> None:
-        """Adds links and joints; reports those whose name another one has."""
+        """Adds links and joints; reports those whose name another one has.
+
+        - ``is_guessed``: whether arguments of macros may be guessed.  Then two calls of one macro
+          can have the same names, which is not reported.
+        """
         parts: list[Link | Joint] = [*links, *joints]
         for part in parts:
             known: dict[str, Any] = self.links if isinstance(part, Link) else self.joints
             first = known.setdefault(part.name, part)
-            if first.span != part.span:  # parts of a macro that is called twice have one place
+            is_same_place = first.span == part.span  # as of a macro that is called twice
+            if first is not part and not (is_guessed and is_same_place):
                 report.add(
                     "audit-description-broken",
                     f"{type(part).__name__.lower()} `{part.name}` is defined twice; readers of"
                     f" {self.format} reject the file",
                     part.span,
-                    labels=[Label(first.span, FIRST_USE)],
+                    labels=() if is_same_place else [Label(first.span, FIRST_USE)],
                 )
         self.places |= places
 

@@ -88,7 +88,7 @@ def read_description(
     invalid are left out.
     """
     parts = read_urdf(elements, "", _unread_mesh, Report())
-    description.add_parts(parts.links, parts.joints, parts.places, report)
+    description.add_parts(parts.links, parts.joints, parts.places, report, is_guessed=True)
     for element in elements:
         if element.tag == "ros2_control":
             description.facts += ros2_control_facts(element)
