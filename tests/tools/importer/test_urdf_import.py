@@ -378,7 +378,7 @@ def test_arguments_of_a_xacro_file(
     assert run("-o", "cart") == 1
     assert "`thorvaldc import cart.xacro radius:=VALUE -o FOLDER`" in capsys.readouterr().err
     assert run("radius:=0.12", "radus:=0.13", "-o", "cart") == 0
-    assert "the file does not use the argument `radus`" in capsys.readouterr().err
+    assert "the xacro file does not use the argument `radus`" in capsys.readouterr().err
     assert {w.radius for w in compiled(tmp_path / "cart" / "robot.yaml")[0].wheels} >= {0.12}
     assert run("a.yaml", "b.yaml", "-o", "new") == 2
 

@@ -28,7 +28,7 @@ from thorvaldc.compiler.source.input_file import FOLDERS, XACRO_FILES, folder_of
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.readable_folders import is_below
 from thorvaldc.compiler.values.document_section import Section
-from thorvaldc.compiler.values.value_reader import ValueReader, items
+from thorvaldc.compiler.values.value_reader import ValueReader, entries, items
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.diagnostics.report import grouped
 from thorvaldc.model import Link, Mesh, Vec3
@@ -368,21 +368,36 @@ class MeshLoader:
 
 def _report_unused(entry: _Entry, expanded: xacro_expand.ExpandedFile, report: Report) -> None:
     """Reports arguments and environment variables of the entry that the xacro file does not use."""
-    stated_names = (*entry.request.args, *entry.request.env)
-    for key, noun, unused, known in (
-        ("args", "argument", expanded.unused_arguments, expanded.known_arguments),
-        ("env", "environment variable", expanded.unused_environment, expanded.known_environment),
-    ):
-        stated = entry.node.get(key)
-        for name in unused:
-            value = stated.get(name) if stated is not None else None
-            report.add(
-                "extra-argument-unused",
-                f"the xacro file does not use the {noun} `{name}`",
-                value.where if value is not None else entry.span,
-                hint=did_you_mean(name, [a for a in known if a not in stated_names])
-                or f"its {noun}s are " + (", ".join(f"`{a}`" for a in known) or "none"),
-            )
+    for key in ("args", "env"):
+        spans = {name: node.where for name, node in entries(entry.node.get(key)).items()}
+        report_unused_names(expanded, key, entry.request, spans, entry.span, report)
+
+
+def report_unused_names(
+    expanded: xacro_expand.ExpandedFile,
+    key: str,
+    request: xacro_expand.ExpansionRequest,
+    spans: Mapping[str, Span],
+    otherwise: Span,
+    report: Report,
+) -> None:
+    """Reports the arguments (``args``) or environment variables (``env``) that a file ignores.
+
+    - ``spans``: places of the names in a file of the user; the others are at ``otherwise``.
+    """
+    noun, unused, known = {
+        "args": ("argument", expanded.unused_arguments, expanded.known_arguments),
+        "env": ("environment variable", expanded.unused_environment, expanded.known_environment),
+    }[key]
+    others = [name for name in known if name not in (*request.args, *request.env)]
+    for name in unused:
+        report.add(
+            "extra-argument-unused",
+            f"the xacro file does not use the {noun} `{name}`",
+            spans.get(name, otherwise),
+            hint=did_you_mean(name, others, fixable=name in spans)
+            or f"its {noun}s are " + (", ".join(f"`{a}`" for a in known) or "none"),
+        )
 
 
 def _report_failure(

@@ -24,7 +24,7 @@ from thorvaldc.compiler.descriptions.parameter_files import (
     sections,
 )
 from thorvaldc.compiler.extras import xacro_expand
-from thorvaldc.compiler.extras.load_extras import FAILURES, MeshLoader
+from thorvaldc.compiler.extras.load_extras import FAILURES, MeshLoader, report_unused_names
 from thorvaldc.compiler.extras.plugin_facts import plugin_facts, ros2_control_facts, walk
 from thorvaldc.compiler.extras.urdf_reader import UrdfParts, read_urdf
 from thorvaldc.compiler.extras.xacro_expand import Element
@@ -78,8 +78,8 @@ def read_robot(
     if not path.is_file():
         report.add("file-not-found", f"`{path}` does not exist", Span(str(path)))
         return robot
-    values = dict(arguments or {})
-    request = xacro_expand.ExpansionRequest(path.absolute(), values, {}, source_layout=True)
+    stated = dict(arguments or {})
+    request = xacro_expand.ExpansionRequest(path.absolute(), stated, {}, source_layout=True)
     folder = "" if str(path.parent) == "." else str(path.parent)
     shown = xacro_expand.DisplayPaths(path.absolute().parent, folder, {})
     expanded = xacro_expand.expand([request], shown)[0]
@@ -92,15 +92,7 @@ def read_robot(
         hint = _HINTS.get(failure.kind, _EXPAND).format(file=path, name=failure.text)
         report.add(code, message.format(text=failure.text), span, hint=hint, labels=labels)
         return robot
-    for name in expanded.unused_arguments:
-        known = expanded.known_arguments
-        report.add(
-            "extra-argument-unused",
-            f"the file does not use the argument `{name}`",
-            Span(str(path)),
-            hint=did_you_mean(name, [each for each in known if each not in values], fixable=False)
-            or "its arguments are " + (", ".join(f"`{each}`" for each in known) or "none"),
-        )
+    report_unused_names(expanded, "args", request, {}, Span(str(path)), report)
     search = xacro_expand.search_paths()
     readable = xacro_expand.readable_folders([request], path.absolute().parent, search)
     loader = MeshLoader(expanded.packages, expanded.paths, readable, report)
