@@ -24,8 +24,8 @@ from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 ROS = FOLDER.parent / "thorvaldc" / "ros"
 ANALYZER = "diagnostic_aggregator/GenericAnalyzer"
-DRIVERS_ELSEWHERE = {"odrive", "vesc"}
-"""Examples whose drivers of the base are packages of their own, which are not installed."""
+PACKAGES = {path.parent.name for path in FOLDER.glob("*/pyproject.toml")}
+"""Examples whose drivers of devices are packages of their own, which are not installed."""
 
 
 def analyzers_of(robot: Robot) -> dict[str, dict[str, Any]]:
@@ -80,7 +80,7 @@ def published(robot: Robot) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("namespace", ["", "farm/r1"])
-@pytest.mark.parametrize("name", sorted({*SAMPLED_ROBOTS, "car"} - DRIVERS_ELSEWHERE))
+@pytest.mark.parametrize("name", sorted({*SAMPLED_ROBOTS, "car"} - PACKAGES))
 def test_each_status_of_the_base_driver_is_in_one_group(name: str, namespace: str) -> None:
     robot = variant(name, namespace=namespace)
     names = list(published(robot))
