@@ -21,9 +21,9 @@ from thorvaldc import __version__
 from thorvaldc.cli.exits import OutsideError
 from thorvaldc.compiler.pipeline import Source, compile_error, compile_file
 from thorvaldc.compiler.result import Compilation
+from thorvaldc.compiler.source.node import yaml_text
 from thorvaldc.diagnostics import DiagnosticError, files
 from thorvaldc.tools.study import evaluation
-from thorvaldc.tools.study.design_text import with_replaced_values
 from thorvaldc.tools.study.designs import (
     DesignSearch,
     designs_of,
@@ -195,13 +195,15 @@ class Study:
         """Returns the folder of the results: the given one, or ``study/NAME``."""
         return Path(folder) if folder else Path("study") / self.plan.name
 
-    def robot_text(self, design: Design) -> str:
-        """Returns the text of the robot file with the values of a design and its comments.
+    def robot_text(self, design: Design, name: str, folder: Path) -> str:
+        """Returns the text of a robot file that extends the robot file of the study by a design.
 
-        Raises ``PathError`` if a value cannot be replaced.
+        ``name``: name of the robot; ``folder``: folder of the new file.
         """
-        text = self.plan.robot.read_text(encoding="utf-8")
-        return with_replaced_values(text, self.plan.changes(design).items())
+        path = os.path.relpath(os.path.realpath(self.plan.robot), os.path.realpath(folder))
+        lines = ["thorvaldc: 1", f"extends: {yaml_text(Path(path).as_posix())}", f"name: {name}"]
+        lines += [f"{key}: {yaml_text(value)}" for key, value in self.plan.changes(design).items()]
+        return "\n".join(lines) + "\n"
 
     def best(self, table: DataFrame, by: str = "") -> Any:
         """Returns the row of the best design for an objective, or ``None`` if none is ``ok``.

@@ -119,7 +119,6 @@ def write_best(
     from thorvaldc.compiler.pipeline import compile_file
     from thorvaldc.compiler.source.input_file import unsaved_texts
     from thorvaldc.diagnostics.files import write_file
-    from thorvaldc.tools.study.design_text import PathError
 
     opened = _open_study(study, library, trust)
     if opened is None:
@@ -147,14 +146,17 @@ def write_best(
             f"#   {name}: {best[name]:.6g} {table.attrs['objectives'].get(name, '')}".rstrip()
         )
     lines.append("# Constraints and objectives are in SI units, angles in rad.\n")
-    try:
-        text = "\n".join(lines) + opened.robot_text(tuple(values))
-    except PathError as error:
-        raise OutsideError(str(error)) from None
+    name = f"{opened.plan.name}_{best['sample']}"
+    text = "\n".join(lines) + opened.robot_text(tuple(values), name, path.parent)
     with unsaved_texts({str(path.resolve()): text.encode()}):
         compilation = compile_file(path, library=opened.plan.library, trust=trust)
-    if compilation.report.has_errors:  # for example because a relative path does not exist there
-        return diagnostic_output.show_report(compilation.report, compilation.sources)
+    report = compilation.report
+    if report.has_errors:
+        return diagnostic_output.show_report(report, compilation.sources)
+    # Values that are those of the study's robot file, too, are left out.
+    unchanged = {d.span.line for d in report if d.code.name == "unit-unchanged" and d.span}
+    rows = enumerate(text.splitlines(keepends=True), 1)
+    text = "".join(row for number, row in rows if number not in unchanged)
     write_file(path, text)
     diagnostic_output.message(f"wrote {output}: design {best['sample']}")
     return DONE

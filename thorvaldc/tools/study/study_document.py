@@ -30,7 +30,6 @@ from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.robot_facts import fact_quantity, facts_document, robot_facts
 from thorvaldc.schema import keys_of
-from thorvaldc.tools.study.design_text import find_value, shared_spans
 
 COLUMNS = ("sample", "status", "code", "message", "design", "key")
 """Columns of the table of designs that do not depend on the study."""
@@ -352,9 +351,8 @@ class _StudyReader:
                 yield variable
 
     def _check_paths(self, paths: tuple[Node, ...]) -> bool:
-        """Checks that paths begin in the robot file or a scenario, and replace one place each."""
-        document, names = self.robot_source.document, entries(self.document.get("scenarios"))
-        assert document is not None
+        """Checks that paths begin in the robot file or a scenario."""
+        names = entries(self.document.get("scenarios"))
         known = (*names, *keys_of("robot"))
         for path in paths:
             text, first = str(path.value), str(path.value).partition(".")[0]
@@ -376,13 +374,6 @@ class _StudyReader:
                     )
                     self.report.add("study-value", message, path.span)
                     return False
-                continue
-            value, missing = find_value(document, text)
-            if not missing and value.span in shared_spans(document):
-                message = f"a YAML alias repeats the value of `{text}` in other places"
-                hint = "write the value in each place, and name each place in `paths`"
-                self.report.add("study-value", message, path.span, hint=hint)
-                return False
         return True
 
     def _is_possible(self, variable: Variable, value: Node, paths: tuple[Node, ...]) -> bool:
