@@ -155,6 +155,18 @@ def test_the_service_has_the_page_of_the_driver(tmp_path: Path) -> None:
         assert (error.code.name, error.span.line) == (code, GOOD.count("\n") + 1)
 
 
+@pytest.mark.parametrize("ros", ["", ", ros: {workspace: /opt/ws}"])
+def test_an_empty_battery_switches_the_computer_off(tmp_path: Path, ros: str) -> None:
+    files, _ = files_of(tmp_path, f"{GOOD}computer: {{power_off: 3 %{ros}}}\n")
+    watch = sections(files["systemd/thorvaldc-good.path"])
+    expected = {"PathExists": "/run/thorvaldc/good/power-off", "Unit": "poweroff.target"}
+    assert dict(watch["Path"]) == expected
+    service = sections(files["systemd/thorvaldc-good.service"])["Service"]
+    assert service["RuntimeDirectory"] == "thorvaldc/good"
+    files, _ = files_of(tmp_path, GOOD)
+    assert not [name for name in files if name.endswith(".path")]
+
+
 def test_a_peer_that_is_no_address_is_an_error(tmp_path: Path) -> None:
     path = tmp_path / "good.yaml"
     section = "computer: {ros: {workspace: /opt/ws, peers: ['a b; rm']}}\n"

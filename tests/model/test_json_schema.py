@@ -31,6 +31,7 @@ FINGERPRINTS = {
     12: "aba667ae81428e75",
     13: "1f486205ccc8da90",
     14: "bf009fcf802423d8",
+    15: "b53a2f5500812590",
 }
 
 SCHEMA = model_schema()

@@ -1,4 +1,4 @@
-"""Messages of a run to the service manager: systemd's protocol of sd_notify(3)."""
+"""Messages of a run to the service manager: sd_notify(3), and the file of an empty battery."""
 
 from __future__ import annotations
 
@@ -6,11 +6,19 @@ import contextlib
 import os
 import socket
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from thorvaldc.runtime.service_notify import ServiceNotifier
+from tests.robots import SPAN
+from tests.runtime.can_base.simulated_rig import Rig
+from tests.simulation.bus.robots import cia402
+from thorvaldc.model.robot_computer import POWER_OFF, Computer
+from thorvaldc.model.scenario import BusFault, BusFaults
+from thorvaldc.runtime.se2 import Twist
+from thorvaldc.runtime.service_notify import LOW_TIME, LowBattery, ServiceNotifier
+from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
 
 @pytest.fixture
@@ -64,3 +72,56 @@ def test_without_a_watchdog_only_the_start_is_reported(manager: socket.socket) -
         notifier.cycle_done(float(cycle))
     assert received(manager) == ["READY=1\nWATCHDOG=1"]
     notifier.close()
+
+
+class Service:
+    """A running robot whose service reads its batteries after each cycle."""
+
+    def __init__(self, folder: Path) -> None:
+        robot = cia402()
+        self.rig = Rig(replace(robot, computer=Computer("robot", "thorvaldc", power_off=0.03)))
+        self.file = folder / POWER_OFF
+        self.low_battery = LowBattery(self.rig.robot, {"RUNTIME_DIRECTORY": str(folder)})
+        self.rig.drive(Twist(0.5, 0.0, 0.0), 1.0)
+
+    def inject(self, kind: str, **fields: float) -> None:
+        fault = BusFault(kind, "main", "battery", 0.0, None, SPAN, **fields)  # type: ignore[arg-type]
+        FaultInjector(self.rig.simulated, BusFaults(())).inject(fault)
+
+    def run(self, seconds: float) -> bool:
+        """Runs control cycles, and returns whether the computer is to be switched off."""
+        end = self.rig.now + seconds
+        while self.rig.now < end:
+            self.rig.run(self.rig.base.period)
+            self.low_battery.cycle_done(self.rig.driven)
+        return self.file.exists()
+
+
+def test_the_computer_is_switched_off_a_minute_after_the_stop(tmp_path: Path) -> None:
+    service = Service(tmp_path)
+    assert not service.run(2.0)
+    service.inject("battery_charge", charge=0.02)
+    assert not service.run(LOW_TIME - 1.0)
+    assert service.rig.speed() == 0.0
+    assert service.run(8.0)
+    texts = [event.text for event in service.rig.driven.events]
+    assert texts.count("the computer is switched off: the battery is empty") == 1
+
+
+def test_a_battery_that_is_charged_or_silent_is_not_empty(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service = Service(tmp_path)
+    service.inject("battery_charge", charge=0.02)
+    assert not service.run(LOW_TIME - 5.0)
+    service.inject("battery_charge", charge=0.04)
+    assert not service.run(2.0)
+    service.inject("battery_charge", charge=0.02)
+    assert not service.run(LOW_TIME - 5.0)
+    reported = service.rig.base.sources
+    charging = lambda: [replace(source, current=-5.0) for source in reported()]  # noqa: E731
+    with monkeypatch.context() as patch:
+        patch.setattr(service.rig.base, "sources", charging)
+        assert not service.run(2.0 * LOW_TIME)
+    service.inject("mute")
+    assert not service.run(3.0 * LOW_TIME)

@@ -4,9 +4,10 @@ systemd names the CAN interfaces and sets them up, gives serial ports and the jo
 and starts the base driver, alone or with ROS 2.  ``thorvaldc install`` puts the files in their
 places; the robot file and the files that it names are beside them, in ``FOLDER``.
 
-Sources: systemd.link(5), systemd.network(5), systemd.service(5), systemd.exec(5) of systemd 249;
-the properties of devices are those of udev's builtins `usb_id` and `path_id`; timesyncd.conf(5);
-tmpfiles.d(5); the variables of the discovery of ROS 2 are those of rcl/discovery_options.h.
+Sources: systemd.link(5), systemd.network(5), systemd.service(5), systemd.exec(5), systemd.path(5)
+of systemd 249; timesyncd.conf(5); tmpfiles.d(5); the properties of devices are those of udev's
+builtins `usb_id` and `path_id`; the variables of the discovery of ROS 2 are those of
+rcl/discovery_options.h.
 """
 
 from __future__ import annotations
@@ -17,13 +18,15 @@ from pathlib import PurePosixPath
 
 from thorvaldc.backends import Backend
 from thorvaldc.model import Robot
-from thorvaldc.model.robot_computer import Computer, UsbDevice
+from thorvaldc.model.robot_computer import POWER_OFF, Computer, UsbDevice
 
 FOLDER = "/etc/thorvaldc/{name}/current"
 """Where the files of the robot ``name`` are on its computer."""
 STATE = "/var/lib/thorvaldc/{name}"
 """Where the build of the robot ``name`` is on its computer; the service writes it."""
-CONTROL = "/run/thorvaldc/{name}/control"
+RUNTIME = "/run/thorvaldc/{name}"
+"""Folder of the running service of the robot ``name``."""
+CONTROL = f"{RUNTIME}/control"
 """Control channel of the base driver of the robot ``name``, for `thorvaldc call` and `teleop`."""
 PLACES = {
     "systemd": "/etc/systemd/system",
@@ -95,6 +98,14 @@ def computer_files(robot: Robot, file: str) -> dict[str, bytes]:
         return readme
     name = name_on_computer(robot)
     texts = {f"systemd/{service_of(robot)}": _service(robot, computer, file)}
+    if computer.power_off:
+        # A unit of the computer, since the user of the service may not switch it off.
+        file_of_service = f"{RUNTIME.format(name=name)}/{POWER_OFF}"
+        texts[f"systemd/thorvaldc-{name}.path"] = _sections(
+            ("Unit", [("Description", f"Empty battery of {_one_line(robot.name)} (thorvaldc)")]),
+            ("Path", [("PathExists", file_of_service), ("Unit", "poweroff.target")]),
+            ("Install", [("WantedBy", "multi-user.target")]),
+        )
     bitrates = {bus.name: bus.bitrate for bus in robot.buses}
     for adapter in computer.adapters:
         path = f"network/50-{name}-{adapter.interface}"

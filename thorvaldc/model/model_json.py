@@ -44,7 +44,7 @@ from thorvaldc.model.result_cache import once_per_model
 from thorvaldc.model.settings import DISTROS, DRIVER, EKF
 
 FORMAT = "thorvaldc-model"
-VERSION = 14
+VERSION = 15
 """Version of the JSON format, increased with every change of the model's fields.
 
 The page ``docs/model.md`` lists all versions of the JSON format.

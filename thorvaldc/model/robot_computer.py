@@ -5,8 +5,12 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from thorvaldc.model import quantities as si
+
 LONGEST_INTERFACE = 15
 """Longest name of a network interface of Linux (IFNAMSIZ - 1)."""
+POWER_OFF = "power-off"
+"""File in the runtime directory of the service, which asks to switch the computer off."""
 
 
 def interface_name(bus: str) -> str:
@@ -75,6 +79,7 @@ class Computer:
     - ``ros``: how ROS 2 is started, or ``None`` if the runtime is started without ROS 2.
     - ``time_servers``: NTP servers, or empty for those of the operating system.
     - ``status_port``: port of the page with the state of the base driver, or ``None`` for no page.
+    - ``power_off``: state of charge (0 to 1) below which the computer is switched off; 0: never.
     """
 
     user: str
@@ -85,3 +90,4 @@ class Computer:
     ros: RosStart | None = None
     time_servers: tuple[str, ...] = ()
     status_port: int | None = None
+    power_off: si.Share = 0.0

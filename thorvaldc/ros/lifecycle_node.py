@@ -45,6 +45,7 @@ from thorvaldc.runtime.can_base.battery_and_io_drivers import SUPPLY
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.filter_covariance import filter_covariance
 from thorvaldc.runtime.run_session import UNTESTED
+from thorvaldc.runtime.service_notify import LowBattery
 from thorvaldc.runtime.service_table import ServiceError
 
 NODE_NAME = "base_driver"
@@ -90,6 +91,7 @@ class BaseDriverNode(GuardedLifecycleNode):
         self.robot: DrivenRobot | None = None
         self.inputs = TwistInputs(self.model, self.values, self.get_logger().warning)
         self.clock_watch = ClockWatch()
+        self._low_battery = LowBattery(self.model)
         self.problem = ""
         """Reason why the node is not active although it was, or why it could not be activated."""
         self._entities: list[Any] = []
@@ -175,6 +177,7 @@ class BaseDriverNode(GuardedLifecycleNode):
                 self.robot = None
                 robot.close()
                 raise
+            self._low_battery.cycle_done(robot)
             self._publish(robot)
             self._watch_bus(robot)
         if time.monotonic() >= self._next_report:

@@ -229,6 +229,11 @@ class BaseHandle(abc.ABC):
         """
         return None
 
+    def sources(self) -> list[Any]:
+        """Returns the state of the common source, or without one those of all batteries."""
+        supply = self.supply()
+        return list(self.batteries().values()) if supply is None else [supply]
+
     def motor_controller_data(self, now: float) -> Mapping[str, Mapping[str, float]]:
         """Returns what each motor controller reports, by its name and the name of the signal.
 

@@ -28,7 +28,7 @@ from thorvaldc.runtime.driven_robot import DrivenRobot, Watch
 from thorvaldc.runtime.driver import BaseDriver, DriverState
 from thorvaldc.runtime.pace import end_signals
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.service_notify import ServiceNotifier
+from thorvaldc.runtime.service_notify import LowBattery, ServiceNotifier
 
 UNTESTED = (
     "thorvaldc's driver was never tried on physical hardware. Lift the wheels off the ground first,"
@@ -125,10 +125,11 @@ class RunSession:
         gc.collect()
         gc.freeze()
         gc.enable()
-        notifier = ServiceNotifier()
+        notifier, low_battery = ServiceNotifier(), LowBattery(self.robot)
 
         def after_cycle(driven: DrivenRobot, state: DriverState) -> None:
             notifier.cycle_done(time.monotonic())
+            low_battery.cycle_done(driven)
             if watch is not None:
                 watch(driven, state)
 
@@ -265,9 +266,7 @@ class RunSession:
                 f"{twist.vx:+z.2f} {twist.vy:+z.2f} m/s {twist.wz:+z.2f} rad/s",
                 f"{pose.x:z.1f} {pose.y:z.1f} m {math.degrees(pose.yaw):z.0f} deg",
             ]
-        supply = base.supply()
-        sources = base.batteries().values() if supply is None else (supply,)
-        charges = [source.charge for source in sources if not math.isnan(source.charge)]
+        charges = [s.charge for s in base.sources() if not math.isnan(s.charge)]
         if charges:
             parts.append(f"battery {100.0 * min(charges):.0f} %")
         if state.not_followed:

@@ -1,18 +1,27 @@
-"""Tells systemd that the base driver runs, and that its control cycles go on (sd_notify(3)).
+"""Tells systemd that the control cycles of the base driver go on, and that the battery is empty.
 
-A service of the type `notify` with `WatchdogSec` ends a process that sends no `WATCHDOG=1` in time.
-The control loop itself sends it, so that a loop that hangs is noticed although other threads run.
+A service of the type `notify` with `WatchdogSec` ends a process that sends no `WATCHDOG=1` in time
+(sd_notify(3)).  The control loop itself sends it, so that a loop that hangs is noticed although
+other threads run.  A unit of the type `path` switches the computer off when a file is there.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import socket
 from collections.abc import Mapping
+from pathlib import Path
+
+from thorvaldc.model import Robot
+from thorvaldc.model.robot_computer import POWER_OFF
+from thorvaldc.runtime.driven_robot import DrivenRobot
 
 SHARE = 0.25
 """Time between two messages by the time after which systemd ends the process."""
+LOW_TIME = 60.0
+"""Time (s) for which a battery is low, and not charged, before the computer is switched off."""
 
 
 class ServiceNotifier:
@@ -54,3 +63,35 @@ class ServiceNotifier:
         if self._stream is not None:
             with contextlib.suppress(OSError):
                 self._stream.send(message.encode())
+
+
+class LowBattery:
+    """Asks systemd to switch the computer off before the battery cuts its power (``power_off``)."""
+
+    def __init__(self, robot: Robot, environment: Mapping[str, str] = os.environ) -> None:
+        """Reads the runtime directory from the variable that systemd sets."""
+        folder, computer = environment.get("RUNTIME_DIRECTORY", ""), robot.computer
+        self._limit = computer.power_off if computer is not None and folder else 0.0
+        self._file = Path(folder, POWER_OFF)
+        self._low_since = math.inf
+
+    def cycle_done(self, driven: DrivenRobot) -> None:
+        """Looks at the batteries after a control cycle.
+
+        The robot is disarmed, so that it stands after ``LOW_TIME``; a battery that is silent, or
+        that is charged, is not low.
+        """
+        if self._limit == 0.0:
+            return
+        now = driven.now
+        is_low = not driven.armed and any(
+            source.charge < self._limit
+            and not source.current < 0.0
+            and now - source.time < LOW_TIME
+            for source in driven.base.sources()
+        )
+        self._low_since = min(self._low_since, now) if is_low else math.inf
+        if now - self._low_since >= LOW_TIME and not self._file.exists():
+            driven.note("the computer is switched off: the battery is empty")
+            with contextlib.suppress(OSError):  # a full disk must not stop the robot
+                self._file.touch()

@@ -30,7 +30,8 @@ UNIT = "thorvaldc-good.service"
 FILE = Path("/etc/thorvaldc/good/current/robot/good.yaml")
 BUS = "/run/can.sock"
 PAGE = "http://127.0.0.1:8321/state"
-ROBOT = f"{GOOD}computer: {{status_port: 8321}}\n"
+ROBOT = f"{GOOD}computer: {{status_port: 8321, power_off: 3 %}}\n"
+WATCH, INSTEAD = "thorvaldc-good.path", "instead-of-poweroff.service"
 SPEED = 0.5
 """Commanded speed (m/s)."""
 PATIENCE = 60.0
@@ -128,6 +129,28 @@ def driver() -> int:
     return int(shown("MainPID"))
 
 
+def ask_for_the_end() -> tuple[int, str]:
+    """Makes the file of an empty battery, as the service does; returns whether it was too early.
+
+    Another unit starts in the place of `poweroff.target`, which would end the session.
+    """
+    folder = Path("/etc/systemd/system")
+    service = "[Service]\nType=oneshot\nRemainAfterExit=yes\nExecStart=/bin/true\n"
+    (folder / INSTEAD).write_text(service, encoding="utf-8")
+    link = folder / WATCH
+    installed, text = link.readlink(), link.read_text(encoding="utf-8")
+    link.unlink()
+    link.write_text(text.replace("poweroff.target", INSTEAD), encoding="utf-8")
+    run("systemctl", "daemon-reload")
+    run("systemctl", "restart", WATCH)
+    before = run("systemctl", "is-active", INSTEAD)
+    run("runuser", "-u", "robot", "--", "touch", "/run/thorvaldc/good/power-off")
+    until("the end", lambda: run("systemctl", "is-active", INSTEAD)[0] == 0)
+    link.unlink()
+    link.symlink_to(installed)
+    return before
+
+
 def session(record: dict[str, Any]) -> None:
     os.chdir(Path.home())
     Path("good.yaml").write_text(ROBOT, encoding="utf-8")
@@ -156,6 +179,10 @@ def session(record: dict[str, Any]) -> None:
         record["page"] = until("the page", lambda: urlopen(PAGE, timeout=5.0).read().decode())
         record["page_process"] = run("ps", "-o", "user=,cls=", "--ppid", str(process))
         record["status"] = run(PROGRAM, "status")
+        record["watch"] = run("systemctl", "show", WATCH, "--property=ActiveState,Triggers")
+        record["asked"] = ask_for_the_end()
+        run("systemctl", "restart", UNIT)  # which removes the file
+        process = driver()
         drive(wheels)
         record["armed"] = run(ASKING, "install", "other.yaml")
         disarm()

@@ -51,6 +51,11 @@ def test_its_page_is_served_beside_the_control_cycle(record: dict[str, Any]) -> 
     assert record["page_process"][1].split() == ["robot", "TS"]
 
 
+def test_an_empty_battery_switches_the_computer_off(record: dict[str, Any]) -> None:
+    assert sorted(record["watch"][1].split()) == ["ActiveState=active", "Triggers=poweroff.target"]
+    assert record["asked"] == [3, "inactive\n"]  # before the service asked for it
+
+
 def test_an_installation_disturbs_no_driver(record: dict[str, Any]) -> None:
     """Armed, the robot keeps its version; disarmed, its bus belongs to the driver."""
     status, text = record["armed"]

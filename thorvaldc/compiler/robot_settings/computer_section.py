@@ -42,6 +42,7 @@ def read_computer(
         _ros_start(section["ros"], report) if "ros" in section else None,
         tuple(section["time_servers"]),
         section["status_port"],
+        section["power_off"],
     )
 
 

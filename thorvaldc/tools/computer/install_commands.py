@@ -46,7 +46,6 @@ DryRun = Annotated[bool, typer.Option("--dry-run", help="List the changes and ma
 def install(
     file: options.RobotFile, host: Host = "", root: Root = "", dry_run: DryRun = False
 ) -> int:
-    from thorvaldc.backends.computer import service_of
     from thorvaldc.tools.computer.answering_devices import compare_devices
     from thorvaldc.tools.computer.installed_versions import Computer, version_of_model
 
@@ -91,7 +90,7 @@ def install(
         computer.install(version)
     if not root:
         _reload()
-        _run(["systemctl", "restart", service_of(robot)], "the service does not start")
+        _run(["systemctl", "restart", *version.units], "the service does not start")
         message(
             f"`thorvaldc logs {version.name}` shows what it does; an interface that was in use gets"
             " its new name at the next boot"
@@ -129,7 +128,7 @@ def uninstall(
         return DONE
     if not root:
         _check_at_rest(computer, name)
-        _run(["systemctl", "stop", *computer.units(name)], "the service may still run")
+        _run(["systemctl", "stop", f"thorvaldc-{name}.*"], "the service may still run")
     with write_errors(computer.folder(name)):
         computer.uninstall(name)
     if not root:

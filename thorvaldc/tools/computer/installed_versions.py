@@ -57,6 +57,12 @@ class Version:
     robot_file: str
 
     @property
+    def units(self) -> list[str]:
+        """Names of the units of systemd."""
+        paths = map(PurePosixPath, sorted(self.files))
+        return [path.name for path in paths if path.parent.name == "systemd"]
+
+    @property
     def links(self) -> dict[str, str]:
         """The links of the computer into this version: targets by their paths."""
         links = {}
