@@ -177,6 +177,8 @@ def test_node_on_a_bus(distro: str, build: Path, tmp_path: Path) -> None:
         with node(distro, build, tmp_path, **options) as process:
             run_client(distro, "drive_bus", tmp_path, "moves")
             process.kill()
+            _, log = process.communicate(timeout=300)
+            assert log.count("(TV880 bus-stopped, see `thorvaldc explain TV880`)") == 1, log
         with node(distro, build, tmp_path, **options) as process:
             run_client(distro, "drive_bus", tmp_path)
             end(process)

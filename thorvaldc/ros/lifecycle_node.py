@@ -47,6 +47,7 @@ from thorvaldc.runtime.filter_covariance import filter_covariance
 from thorvaldc.runtime.run_session import UNTESTED
 from thorvaldc.runtime.service_notify import LowBattery
 from thorvaldc.runtime.service_table import ServiceError
+from thorvaldc.runtime.state_text import FAULT, state_rows
 
 NODE_NAME = "base_driver"
 REPORT_PERIOD = 1.0
@@ -99,6 +100,7 @@ class BaseDriverNode(GuardedLifecycleNode):
         self._next_report = 0.0
         self._next_device_data = -math.inf
         self._reported: Any = None
+        self._logged_fault = ""
         simulated = self.values["base"] in ("ideal", "mujoco")
         self.owns_clock = simulated and self.values["publish_clock"]
         if self.values["publish_clock"] and not simulated:
@@ -433,6 +435,10 @@ class BaseDriverNode(GuardedLifecycleNode):
         if summary != self._reported:
             self._reported = summary
             self._next_report = 0.0
+            fault = dict(state_rows(robot.state())).get(FAULT, "")
+            if fault and fault != self._logged_fault:
+                self.get_logger().error(fault)
+            self._logged_fault = fault
 
     def _publish_device_data(self, robot: DrivenRobot, stamp: Any) -> None:
         for topic, publisher in self._device_topics.items():

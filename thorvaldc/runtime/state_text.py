@@ -8,6 +8,9 @@ from typing import Any
 from thorvaldc.diagnostics import Code
 from thorvaldc.diagnostics.report import find_code
 
+FAULT = "FAULT"
+"""Label of the fault, with its page."""
+
 
 def page_text(code: Code) -> str:
     """Returns the number and the name of a diagnostic code, and how to read its page."""
@@ -22,7 +25,7 @@ def state_rows(state: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     permission = "armed" if state["armed"] else f"not armed: {state['held'] or 'no reason'}"
     yield "driver", f"{state['mode']}, {permission}, drives: {state['source'] or 'nobody'}"
     if state["fault"]:
-        yield "FAULT", f"{state['fault']} ({page_text(find_code(state['fault_code']))})"
+        yield FAULT, f"{state['fault']} ({page_text(find_code(state['fault_code']))})"
     if state["locks"]:
         yield "locked by", ", ".join(state["locks"])
     if state["stopped_by"]:
