@@ -77,3 +77,15 @@ def test_an_invalid_value_is_reported_and_an_example_takes_its_place(
 def test_a_key_that_the_schema_does_not_have_is_a_mistake_of_the_reader() -> None:
     with pytest.raises(KeyError):
         read("{}")[0]["hight"]
+
+
+def test_a_share_in_percent_without_the_unit() -> None:
+    share = {"type": ["number", "string"], "x-quantity": "ratio", "x-minimum": 0, "x-maximum": 1}
+    for text, fixes in (("30", ("30 %",)), ("100.5", ()), ("-3", ()), ("3", ("3 %",))):
+        report = Report()
+        node = read_text(f"charge: {text}".encode(), "a.yaml", report)
+        assert node is not None
+        Section(node, {"properties": {"charge": share}}, ValueReader(report)).read()
+        (error,) = report
+        assert error.code.name == "out-of-range"
+        assert tuple(fix.text for fix in error.fixes) == fixes

@@ -17,7 +17,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import parse_quantity
 from thorvaldc.compiler.values.value_reader import INVALID, ValueReader, entries
-from thorvaldc.diagnostics import Span
+from thorvaldc.diagnostics import Proposal, Span
 from thorvaldc.model import Pose
 from thorvaldc.schema import Kind, inlined
 
@@ -215,10 +215,14 @@ class Section:
         shown = kind.format_value(value)
         if kind.unit == "rad" and value:
             shown += f" ({math.degrees(value):.6g} deg)"
+        hint = None
+        if limits == {"x-minimum": 0.0, "x-maximum": 1.0} and 1.0 < value <= 100.0:
+            hint = Proposal(f"did you mean `{value:.6g} %`?", f"{value:.6g} %")
         self._reader.report.add(
             schema.get("x-code", "out-of-range"),
             f"`{key}` is {shown}; it must {needed}",
             span,
+            hint=hint,
         )
         return False
 
