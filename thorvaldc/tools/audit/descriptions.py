@@ -5,7 +5,7 @@ Models in SDF and MJCF become URDF elements first, so that one reader reads all 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -122,16 +122,15 @@ class UrdfElements:
         child: str,
         pose: Pose,
         axis: Vec3 = (0.0, 0.0, 1.0),
-        limits: Sequence[float] = (),
+        limits: Mapping[str, float] | None = None,
         limit_source: Element | None = None,
     ) -> Element:
-        """Returns a joint; ``limits`` are lower, upper, and possibly velocity and effort."""
-        stated = [(n, v) for n, v in zip(_LIMITS, limits, strict=False) if abs(v) < UNLIMITED]
-        if kind == "revolute" and not any(n in ("lower", "upper") for n, _ in stated):
+        """Returns a joint; ``limits`` are values of the attributes of ``<limit>``."""
+        known = {n: v for n, v in (limits or {}).items() if n in _LIMITS}
+        stated = {n: repr(v) for n, v in known.items() if abs(v) < UNLIMITED}
+        if kind == "revolute" and not {"lower", "upper"} & stated.keys():
             kind = "continuous"
-        limit = UrdfElements(limit_source or self.source).element(
-            "limit", **{name: repr(value) for name, value in stated}
-        )
+        limit = UrdfElements(limit_source or self.source).element("limit", **stated)
         return self.element(
             "joint",
             self.origin(pose),

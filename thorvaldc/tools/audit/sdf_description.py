@@ -19,7 +19,6 @@ from thorvaldc.tools.audit.descriptions import (
 )
 
 _DEFAULT_MOMENTS = {"ixx": "1", "iyy": "1", "izz": "1"}
-_NO_LIMITS = {"lower": "-1e16", "upper": "1e16", "velocity": "1e16", "effort": "1e16"}
 
 
 def read_sdf(root: Element, file: str, path: Path, report: Report) -> list[FileDescription]:
@@ -144,8 +143,7 @@ class _Model:
         frame = xyz.attributes.get("expressed_in", "") if xyz is not None else ""
         X_MA = self.pose(self.named.get(frame, element)) if frame != "__model__" else Pose()
         limit = axis_element.find("limit") if axis_element is not None else None
-        texts = {**_NO_LIMITS, **_values(limit)}
-        stated = [(numbers(texts[name], 1) or (math.inf,))[0] for name in _NO_LIMITS]
+        stated = {n: v[0] for n, t in _values(limit).items() if (v := numbers(t, 1)) is not None}
         return UrdfElements(element).joint(
             self.name(element),
             element.attributes.get("type", ""),
