@@ -375,7 +375,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV902", "file-is-a-directory", "a folder is given instead of a file"),
     _error("TV903", "file-unreadable", "a file cannot be read"),
     _error("TV930", "import-not-original", "a file is not one of the original system"),
-    _error("TV931", "import-value", "a value of an original file is invalid"),
+    _error("TV931", "import-value", "a value of an imported file is invalid"),
     _error("TV932", "import-missing", "an imported file lacks a required value"),
     _error("TV933", "import-node-duplicate", "an original file uses a node id twice"),
     _error("TV934", "import-reference", "an original file refers to a drive that does not exist"),

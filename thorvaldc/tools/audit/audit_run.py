@@ -20,11 +20,13 @@ from thorvaldc.compiler.descriptions.parameter_files import (
     sections,
 )
 from thorvaldc.compiler.extras import xacro_expand
+from thorvaldc.compiler.extras.converted_elements import read_xml
 from thorvaldc.compiler.extras.load_extras import FAILURES
 from thorvaldc.compiler.extras.plugin_facts import walk
 from thorvaldc.compiler.extras.xacro_expand import Element, ExpandedFile
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.files import read_bounded
+from thorvaldc.simulation.physics.mjcf_reader import mujoco_worker
 from thorvaldc.tools.audit import (
     body_rules,
     descriptions,
@@ -34,8 +36,6 @@ from thorvaldc.tools.audit import (
     parameter_facts,
 )
 from thorvaldc.tools.audit.audit_facts import Evidence
-from thorvaldc.tools.audit.mjcf_description import mujoco_worker, read_mjcf_description
-from thorvaldc.tools.audit.sdf_description import read_sdf
 
 # A rule compares what the readers have found.
 RULES: tuple[Callable[[Evidence, Report], None], ...] = (
@@ -146,9 +146,9 @@ class _Reader:
             self.evidence.launches.append(launch_files.read_yaml(document, file.display, file.path))
 
     def read_xml_file(self, file: RobotFile, data: bytes) -> None:
-        root = descriptions.read_xml(data, file.display, file.path)
+        root = read_xml(data, file.display, file.path)
         if root.tag == "sdf":
-            models = read_sdf(root, file.display, file.path, self.report)
+            models = descriptions.read_sdf(root, file.display, file.path, self.report)
             self.evidence.descriptions += models
         elif root.tag in ("mujoco", "mujocoinclude"):
             self.mjcf_files[os.path.realpath(file.path)] = file, root
@@ -172,8 +172,8 @@ class _Reader:
                     continue
                 try:
                     include = partial(self.included, path)
-                    model = read_mjcf_description(root, file.display, file.path, include, worker)
-                    self.evidence.descriptions += [model] if model is not None else []
+                    model = descriptions.read_mujoco(root, file.display, include, worker)
+                    self.evidence.descriptions += [model] if model.joints else []
                 except UnreadableFileError as error:
                     self.result.skip(file, error, self.evidence.incomplete)
 
