@@ -120,6 +120,17 @@ def test_an_sdf_file_is_what_its_numbers_say(folder: Path) -> None:
     np.testing.assert_allclose(lidar, [0.1, 0.0, 0.12], atol=1e-9)
 
 
+def test_axes_before_sdf_1_5_are_in_the_frame_of_the_model(folder: Path) -> None:
+    text = (folder / "cart.sdf").read_text().replace('version="1.9"', 'version="1.4"')
+    text = text.replace("<xyz>0 0 1</xyz>", "<xyz>0 1 0</xyz>").replace(
+        ' expressed_in="chassis"', ""
+    )
+    (folder / "cart.sdf").write_text(text)
+    result, robot, built = imported(folder / "cart.sdf")
+    assert [w.driven for w in robot.wheels] == [True, True, False]
+    assert wheels(result, built, ("left", "right")) == pytest.approx(0.42, abs=1e-9)
+
+
 @pytest.mark.parametrize("name", ["cart.xml", "cart.sdf"])
 def test_it_drives_a_metre(folder: Path, name: str) -> None:
     _, robot, _ = imported(folder / name)

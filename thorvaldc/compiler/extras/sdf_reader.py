@@ -11,13 +11,15 @@ from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.model import Pose, Vec3
 from thorvaldc.model.spatial import scale
 
+_TRUE = ("true", "1")
 _DEFAULT_MOMENTS = {"ixx": "1", "iyy": "1", "izz": "1"}
 
 
 def sdf_models(root: Element) -> list[SdfModel]:
     """Returns the models with joints in an ``<sdf>`` document; scenery has none."""
+    version = numbers(root.attributes.get("version"), 1)
     return [
-        SdfModel(model)
+        SdfModel(model, has_old_axes=version is not None and version[0] < 1.5)
         for model in _models(root)
         if any(child.tag == "joint" for child in model.children)
     ]
@@ -44,10 +46,11 @@ class SdfModel:
 
     - ``named``: links, joints and frames by name.
     - ``frames``: names of frames and sensors.
+    - ``has_old_axes``: whether axes are in the frame of the model, as before SDF 1.5.
     """
 
-    def __init__(self, model: Element) -> None:
-        self.model = model
+    def __init__(self, model: Element, *, has_old_axes: bool = False) -> None:
+        self.model, self.has_old_axes = model, has_old_axes
         self.links = {self.name(e): e for e in model.children if e.tag == "link"}
         self.joints = [e for e in model.children if e.tag == "joint"]
         frames = {self.name(e): e for e in model.children if e.tag == "frame"}
@@ -85,7 +88,7 @@ class SdfModel:
                     pose = X_LS * self.pose(sensor)
                     elements += [
                         urdf.element("link", name=own),
-                        urdf.joint(f"{own}_joint", "fixed", name, own, pose),
+                        urdf.joint(f"joint of sensor {own}", "fixed", name, own, pose),
                         urdf.element("gazebo", sensor, reference=own),
                     ]
         return elements
@@ -150,6 +153,8 @@ class SdfModel:
         xyz = axis_element.find("xyz") if axis_element is not None else None
         axis = vector(xyz.text if xyz is not None else None, (0.0, 0.0, 1.0))
         frame = xyz.attributes.get("expressed_in", "") if xyz is not None else ""
+        if self.has_old_axes or _values(axis_element).get("use_parent_model_frame") in _TRUE:
+            frame = "__model__"
         X_MA = self.pose(self.named.get(frame, element)) if frame != "__model__" else Pose()
         limit = axis_element.find("limit") if axis_element is not None else None
         stated = {n: v[0] for n, t in _values(limit).items() if (v := numbers(t, 1)) is not None}

@@ -45,7 +45,7 @@ class MjcfParts(NamedTuple):
 
     - ``elements``: the links and joints of URDF.
     - ``frames``: names of the sites and cameras.
-    - ``others``: elements that MuJoCo did not get.
+    - ``others``: elements that MuJoCo did not get, and meshes without a file.
     """
 
     elements: list[Element]
@@ -99,7 +99,7 @@ class _Text:
     """Writes the text for MuJoCo: each start tag is a line, whose number MuJoCo keeps.
 
     - ``sources``: element of each line.
-    - ``others``: elements that are left out.
+    - ``others``: as in ``MjcfParts``.
     """
 
     def __init__(self, include: Include, read_mesh: ReadMesh | None) -> None:
@@ -120,6 +120,8 @@ class _Text:
         stated = {n: v for n, v in element.attributes.items() if n not in _LEFT_OUT}
         if element.tag == "mesh" and "file" in stated:
             stated |= {"name": mesh_name(element), "file": _mesh_file(element)}
+        elif element.tag == "mesh" and {"vertex", "builtin"} & stated.keys():
+            self.others.append(element)  # it has no file
         is_include = element.tag == "include"
         text = f"<{element.tag}{''.join(f' {n}={quoteattr(v)}' for n, v in stated.items())}>"
         yield "\n" if is_include else f"{text}\n"
@@ -271,10 +273,8 @@ class _Reader:
                 kind = _KINDS.get(joint.type.name, "ball")
                 if self.paths is not None and kind == "floating":
                     continue  # the root of URDF floats
-                if self.paths is not None and kind == "ball":
-                    is_round = all(geom.type.name == "mjGEOM_SPHERE" for geom in body.geoms)
-                    kind = "fixed" if is_round else kind  # a ball caster
-                lower, upper = model.jnt_range[joint.id].tolist()
+                zero = float(model.qpos0[model.jnt_qposadr[joint.id]])
+                lower, upper = (limit - zero for limit in model.jnt_range[joint.id].tolist())
                 limits = {"lower": lower, "upper": upper} if model.jnt_limited[joint.id] else {}
                 placed = (above, name, pose, model.jnt_axis[joint.id].tolist())
                 dof = model.jnt_dofadr[joint.id]
@@ -296,7 +296,9 @@ class _Reader:
             # MuJoCo moves the points of a mesh to its own axes.
             pose *= _pose(model.mesh_pos[mesh], model.mesh_quat[mesh]).inverse()
             scale = " ".join(map(str, model.mesh_scale[mesh].tolist()))
-            values = {"filename": self.paths.get(geom.meshname, geom.meshname), "scale": scale}
+            if geom.meshname not in self.paths:
+                return  # it has no file
+            values = {"filename": self.paths[geom.meshname], "scale": scale}
         elif geom in self.meshes or (kind == "ellipsoid" and not math.isclose(a, b)):
             kind, values = "mesh", {"filename": self.meshes.get(geom, kind)}
         elif kind == "box":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -86,11 +87,11 @@ def read_robot(
     shown = xacro_expand.DisplayPaths(path.absolute().parent, folder, {})
     search = xacro_expand.search_paths()
     readable = xacro_expand.readable_folders([request], path.absolute().parent, search)
-    if path.suffix.lower() in other_formats.SUFFIXES:
-        models = {path.absolute().parent.name: str(path.absolute().parent)}
-        # Meshes often lie in a folder beside that of the description.
-        readable += real_folders([path.absolute().parent.parent])
-        loader = MeshLoader(models, shown, readable, report)
+    if path.suffix.lower() not in (".urdf", ".xacro"):
+        # Meshes often lie in a folder beside that of the file, or in another model of Gazebo there.
+        beside = path.absolute().parent.parent
+        readable += real_folders([beside])
+        loader = MeshLoader(_folders(beside), shown, readable, report)
         elements = other_formats.read_elements(robot.description, loader, robot.sources, report)
         _add_elements(robot, elements, loader, report)
         if controllers is not None and robot.description.links:
@@ -112,6 +113,14 @@ def read_robot(
     if controllers is not None and robot.description.links:
         _read_controllers(robot, controllers, report)
     return robot
+
+
+def _folders(folder: Path) -> dict[str, str]:
+    """Returns the folders in a folder by name."""
+    try:
+        return {entry.name: entry.path for entry in os.scandir(folder) if entry.is_dir()}
+    except OSError:
+        return {}
 
 
 def _add_elements(

@@ -16,12 +16,11 @@ from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.files import read_bounded
 from thorvaldc.simulation.physics.mjcf_reader import mujoco_worker, read_mjcf
 
-SUFFIXES = (".sdf", ".world", ".xml", ".mjcf")
 MAX_BYTES = 8_000_000
 # Elements of MJCF that change a robot.
 _NAMED = (
     *("tendon", "equality", "sensor", "deformable", "extension", "composite", "flexcomp"),
-    *("attach", "replicate", "skin", "plugin"),
+    *("attach", "replicate", "skin", "plugin", "mesh"),
 )
 
 
@@ -35,9 +34,10 @@ def read_elements(
     try:
         root = _read(description.path, description.file)
         if root.tag == "sdf":
-            return _sdf_elements(root, description, report)
+            return _with_ball_casters(_sdf_elements(root, description, report))
         if root.tag == "mujoco":
-            return _mjcf_elements(root, description, loader, sources, report)
+            elements = _mjcf_elements(root, description, loader, sources, report)
+            return _with_ball_casters(elements)
         text = f"its root element is <{root.tag}>, not <mujoco> or <sdf>"
         raise UnreadableFileError(text, root.span)
     except UnreadableFileError as error:
@@ -51,6 +51,23 @@ def _read(path: Path, display: str) -> Element:
         return read_xml(read_bounded(path, MAX_BYTES), display, path)
     except (OSError, ValueError) as error:
         raise UnreadableFileError(getattr(error, "strerror", None) or str(error)) from None
+
+
+def _with_ball_casters(elements: list[Element]) -> list[Element]:
+    """Fixes the joints of the type ``ball`` that carry spheres: these are ball casters."""
+    links = {e.attributes["name"]: e for e in elements if e.tag == "link"}
+    fixed: list[Element] = []
+    for element in elements:
+        child = element.find("child") if element.attributes.get("type") == "ball" else None
+        link = links.get(child.attributes["link"]) if child is not None else None
+        shapes = [e for e in walk(link) if e.tag in _SHAPES] if link is not None else []
+        is_ball = bool(shapes) and all(shape.tag == "sphere" for shape in shapes)
+        kind = {"type": "fixed"} if is_ball else {}
+        fixed.append(replace(element, attributes={**element.attributes, **kind}))
+    return fixed
+
+
+_SHAPES = ("box", "cylinder", "sphere", "mesh")
 
 
 def _sdf_elements(root: Element, description: FileDescription, report: Report) -> list[Element]:
@@ -114,7 +131,9 @@ def _mjcf_elements(
             elements += [_drive(actuator) for actuator in other.children]
         elif other.tag in _NAMED:
             kinds = dict.fromkeys(f"<{e.tag}>" for e in other.children)
-            text = f"<{other.tag}> is not imported: {', '.join(kinds)}".removesuffix(": ")
+            name = f"`{other.attributes['name']}`" if "name" in other.attributes else ""
+            shown = name or ", ".join(kinds)
+            text = f"<{other.tag}> is not imported: {shown}".removesuffix(": ")
             report.add("import-left-out", text, other.span)
     return elements
 
