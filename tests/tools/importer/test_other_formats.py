@@ -20,6 +20,7 @@ from tests.tools.importer.test_urdf_import import (
     said,
 )
 from thorvaldc import Simulation, Twist
+from thorvaldc.cli.main import run_command
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import MeshShape, Robot
@@ -186,6 +187,18 @@ def test_what_is_wrong_has_a_place(
     result = import_urdf(folder / file)
     places = [place for *place, message in said(result, code) if text in message]
     assert [file, line] in places, [(d.span, d.message) for d in result.report]
+
+
+def test_the_command_takes_the_files(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def run(*words: str) -> int:
+        monkeypatch.setattr("sys.argv", ["thorvaldc", *words])
+        return run_command()
+
+    monkeypatch.chdir(folder)
+    assert run("import", "cart.sdf", "radius:=0.1", "-o", "out") == 2
+    for name in ("cart.sdf", "cart.xml"):
+        assert run("import", name, "-o", f"{name}.out") == 0
+        assert run("check", f"{name}.out/robot.yaml") == 0
 
 
 @pytest.mark.parametrize(
