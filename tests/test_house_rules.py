@@ -212,7 +212,6 @@ def test_files_are_written_in_one_place(package: Nodes) -> None:
         "cli/robot_file.py",  # a mark whose content does not count
         "compiler/output/writer.py",
         "simulation/physics/mujoco_scene.py",
-        "tools/audit/audit_run.py",
     )
 
 

@@ -51,7 +51,25 @@ def imported_kinds() -> list[Kind]:
         "mesh.stl": meshes()["stl"],
     }
     command = ("import cart.urdf controllers.yaml -o out",)
+    formats = {p.name: p.read_bytes() for p in sorted((TOOLS / "importer/formats").iterdir())}
+    formats["cart.xml"] = formats["cart.xml"].replace(b'meshdir="../meshes"', b"")
+    formats["lid.stl"] = meshes()["stl"]
     return [
+        *(
+            Kind(
+                f"imported {format}",
+                (f"import {name} -o out",),
+                [(changed, formats)],
+                XML,
+                writes=("out",),
+                weight=0.3,
+            )
+            for format, name, changed in (
+                ("SDF", "cart.sdf", "cart.sdf"),
+                ("MJCF", "cart.xml", "cart.xml"),
+                ("included MJCF", "cart.xml", "wheels.xml"),
+            )
+        ),
         Kind("imported URDF", command, [("cart.urdf", files)], XML, writes=("out",), weight=0.7),
         Kind(
             "controllers", command, [("controllers.yaml", files)], YAML, writes=("out",), weight=0.3

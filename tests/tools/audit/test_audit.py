@@ -230,6 +230,36 @@ def test_hostile_documents_end_in_bounded_time(cart: Path) -> None:
     }
 
 
+def test_a_file_that_ends_mujoco_is_skipped(cart: Path) -> None:
+    """MuJoCo formats its messages with texts of the file."""
+    named = (
+        '<mujoco><worldbody><body name="50%"><geom size="1"/><joint/></body></worldbody></mujoco>'
+    )
+    (cart / "models/format.xml").write_text(named.replace("size", 'class="%n%n%s" size'), "utf-8")
+    (cart / "models/named.xml").write_text(named, "utf-8")
+    result = audit(["cart"])
+    ((code, file, message),) = [
+        (d.code.name, d.span.file, d.message) for d in result.report if d.span is not None
+    ]
+    assert (code, file) == ("audit-file-skipped", "cart/models/format.xml")
+    assert "MuJoCo ended its reader process" in message
+    assert any("50%" in description.links for description in result.evidence.descriptions)
+    assert not list(cart.parent.glob("MUJOCO_LOG*"))
+
+
+def test_the_place_of_a_macro_that_the_audit_calls(cart: Path) -> None:
+    macro = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro">
+    <xacro:macro name="arm" params="mass:=-1"><link name="arm"><inertial><mass value="${mass}"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></xacro:macro>
+    </robot>"""
+    (cart / "urdf/arm.xacro").write_text(macro, "utf-8")
+    (diagnostic,) = audit(["cart"]).report
+    assert diagnostic.code.name == "audit-mass"
+    spans = [diagnostic.span, *(label.span for label in diagnostic.labels)]
+    places = [(span.file, span.line) for span in spans if span is not None]
+    assert places == [("cart/urdf/arm.xacro", 2), ("cart/urdf/arm.xacro", 1)]
+
+
 def test_launch_files_are_not_run(cart: Path) -> None:
     marker = cart / "marker"
     text = f"open({str(marker)!r}, 'w')\ndef generate_launch_description():\n    pass\n"

@@ -186,13 +186,8 @@ def body(model: Any, data: Any, names: list[str], frame: str) -> np.ndarray:
     return values
 
 
-@pytest.mark.parametrize("name", ROBOTS)
-def test_masses_poses_and_radii_return(tmp_path: Path, name: str) -> None:
-    result, path = imported(tmp_path, name)
-    robot, warnings = compiled(path)
-    assert warnings == DESERVED[name]
-    built = emit(robot, ["urdf"])["urdf/robot.urdf"].decode()
-    before, after = read_by_mujoco(ROBOTS[name]), read_by_mujoco(built)
+def assert_same_bodies(result: UrdfImport, before: tuple[Any, Any], after: tuple[Any, Any]) -> None:
+    """Compares masses, inertias and poses in the frame of the first link."""
     root = next(iter(result.links))
     for link_name, own in result.links.items():
         names = [own]
@@ -215,6 +210,15 @@ def test_masses_poses_and_radii_return(tmp_path: Path, name: str) -> None:
         np.testing.assert_allclose(poses[1], poses[0], atol=1e-9)
     masses = [model.body_mass[model.body_mass > 1e-9].sum() for model, _ in (before, after)]
     assert masses[0] == pytest.approx(masses[1], abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_masses_poses_and_radii_return(tmp_path: Path, name: str) -> None:
+    result, path = imported(tmp_path, name)
+    robot, warnings = compiled(path)
+    assert warnings == DESERVED[name]
+    built = emit(robot, ["urdf"])["urdf/robot.urdf"].decode()
+    assert_same_bodies(result, read_by_mujoco(ROBOTS[name]), read_by_mujoco(built))
     tyre = trimesh.load(tmp_path / "tyre.stl").vertices
     largest = float(np.hypot(tyre[:, 0], tyre[:, 2]).max())
     radii = RADII.get(name, [largest, 0.1] * 2)

@@ -50,21 +50,16 @@ def _facts_of(plugin: Element) -> list[Fact]:
     for key, child in values:
         kind, factor = _GEOMETRY.get(key, ("", 0.0))
         length = numbers(child.text, 1)
-        if key == "publishodomtf" and child.text in ("true", "1"):
-            frames = [frame.text.strip("/") for name, frame in values if name == "odometryframe"]
-            shown, names = f"{subject} ({child.tag})", tuple(frames or ["odom"])
-            facts.append(Fact("plug-in transform", shown, True, child.span, "", names))
-        elif kind and length is not None:
+        if kind and length is not None:
             facts.append(Fact(kind, subject, factor * length[0], child.span, "m", sides[kind]))
     return facts
 
 
 def ros2_control_facts(element: Element) -> list[Fact]:
-    """Returns the joints of a ``<ros2_control>`` element and their limits."""
+    """Returns the joints of a ``<ros2_control>`` element."""
     facts: list[Fact] = []
     subject = f'<ros2_control name="{element.attributes.get("name", "")}">'
     for child in element.children:
-        name = child.attributes.get("name", "")
         if child.tag == "hardware":
             facts += [
                 Fact("joint", subject, parameter.text, parameter.span)
@@ -72,23 +67,7 @@ def ros2_control_facts(element: Element) -> list[Fact]:
                 if parameter.attributes.get("name", "").endswith("wheel_name")
             ]
         elif child.tag == "joint":
-            facts.append(Fact("joint", subject, name, child.span))
-            facts += _interface_facts(child, name, subject)
-    return facts
-
-
-def _interface_facts(joint: Element, name: str, subject: str) -> list[Fact]:
-    facts: list[Fact] = []
-    for child in joint.children:
-        interface = child.attributes.get("name", "")
-        if child.tag != "command_interface":
-            continue
-        for parameter in child.children:
-            limit = parameter.attributes.get("name", "")
-            values = numbers(parameter.text, 1)
-            if values is not None and limit in ("min", "max"):
-                kind = f"{interface} {limit}"
-                facts.append(Fact(kind, subject, values[0], parameter.span, "", (name,)))
+            facts.append(Fact("joint", subject, child.attributes.get("name", ""), child.span))
     return facts
 
 

@@ -123,6 +123,7 @@ class ExpansionRequest:
     - ``packages``: absolute path of the folder of each ROS package that the robot file names.
     - ``source_layout``: whether files that a package installs to another folder are found in the
       source folder of the package.
+    - ``macro``: name of a macro that is called at the end of the file, or empty text.
     """
 
     file: Path
@@ -130,6 +131,7 @@ class ExpansionRequest:
     packages: dict[str, str]
     env: dict[str, str] = field(default_factory=dict)
     source_layout: bool = False
+    macro: str = ""
 
 
 @dataclass(frozen=True, slots=True)

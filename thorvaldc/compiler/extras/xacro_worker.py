@@ -407,6 +407,9 @@ class Expansion:
         root = document.documentElement
         if root.tagName != "robot":
             raise ExpansionError("root", f"<{root.tagName}>", _position(root))
+        if self.entry["macro"]:
+            call = root.appendChild(document.createElement(f"xacro:{self.entry['macro']}"))
+            call.setUserData(_KEY, (_position(root), ()), _KEEPER)
         plain = path.lower().endswith(".urdf") and not root.hasAttribute("xmlns:xacro")
         if not plain:
             self.xacro.process_doc(document, mappings=arguments)

@@ -22,7 +22,6 @@ class LaunchedNode:
     - ``name``: name of the node, or empty text if the launch file does not state a plain text.
     - ``parameters``: parameters in the launch file itself, by name; an unknown value is ``None``.
     - ``parameter_files``: plain names of parameter files, such as ``config/nav2.yaml``.
-    - ``remappings``: the new names.
     """
 
     package: str
@@ -31,7 +30,6 @@ class LaunchedNode:
     span: Span
     parameters: Mapping[str, Fact]
     parameter_files: tuple[Fact, ...] = ()
-    remappings: tuple[str, ...] = ()
     arguments: tuple[str, ...] = ()
 
 

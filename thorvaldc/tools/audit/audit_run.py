@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import os
 import re
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +12,6 @@ from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
-from xml.sax.saxutils import quoteattr
 
 from thorvaldc.compiler.descriptions.facts import FileDescription, UnreadableFileError
 from thorvaldc.compiler.descriptions.parameter_files import (
@@ -22,11 +20,13 @@ from thorvaldc.compiler.descriptions.parameter_files import (
     sections,
 )
 from thorvaldc.compiler.extras import xacro_expand
+from thorvaldc.compiler.extras.converted_elements import read_xml
 from thorvaldc.compiler.extras.load_extras import FAILURES
 from thorvaldc.compiler.extras.plugin_facts import walk
 from thorvaldc.compiler.extras.xacro_expand import Element, ExpandedFile
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.files import read_bounded
+from thorvaldc.simulation.physics.mjcf_reader import mujoco_worker
 from thorvaldc.tools.audit import (
     body_rules,
     descriptions,
@@ -36,8 +36,6 @@ from thorvaldc.tools.audit import (
     parameter_facts,
 )
 from thorvaldc.tools.audit.audit_facts import Evidence
-from thorvaldc.tools.audit.mjcf_description import read_mjcf_description
-from thorvaldc.tools.audit.sdf_description import read_sdf
 
 # A rule compares what the readers have found.
 RULES: tuple[Callable[[Evidence, Report], None], ...] = (
@@ -45,11 +43,9 @@ RULES: tuple[Callable[[Evidence, Report], None], ...] = (
     drive_rules.check_sides,
     name_rules.check_joint_names,
     name_rules.check_frames,
-    name_rules.check_transform_owners,
     drive_rules.check_stamps,
     drive_rules.check_speeds,
     drive_rules.check_wheel_speeds,
-    drive_rules.check_command_limits,
     drive_rules.check_descriptions_agree,
     body_rules.check_footprints_agree,
     body_rules.check_footprints_cover,
@@ -71,6 +67,12 @@ class Audit:
     report: Report = field(default_factory=Report)
     sources: dict[str, Path] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
+
+    def skip(self, file: RobotFile, error: UnreadableFileError, unread: list[str]) -> None:
+        """Adds the note that a file, or a part of it, is not audited, and its name to a list."""
+        text = f"`{file.display}` is not audited: {error}"
+        self.report.add("audit-file-skipped", text, error.span or Span(file.display))
+        unread.append(file.display)
 
 
 def audit(names: Sequence[str], *, trust: bool = False) -> Audit:
@@ -108,9 +110,8 @@ class _Reader:
     """Chooses the reader of each file by its name and its root element."""
 
     def __init__(self, robot_files: Survey, result: Audit) -> None:
-        self.robot_files = robot_files
-        self.evidence = result.evidence
-        self.report = result.report
+        self.robot_files, self.result = robot_files, result
+        self.evidence, self.report = result.evidence, result.report
         self.urdf_files: list[tuple[RobotFile, bytes]] = []
         self.mjcf_files: dict[str, tuple[RobotFile, Element]] = {}
 
@@ -123,7 +124,7 @@ class _Reader:
             elif suffix in (".yaml", ".yml"):
                 self.read_yaml_file(file, data)
             elif suffix == ".py":
-                if launch_files.is_python_launch(data):
+                if b"generate_launch_description" in data:
                     launch = launch_files.read_python(data, file.display, file.path)
                     self.evidence.launches.append(launch)
             elif suffix in SUFFIXES:
@@ -131,9 +132,7 @@ class _Reader:
             else:
                 raise UnreadableFileError(f"files with the suffix `{suffix}` are not read")
         except UnreadableFileError as error:
-            skip(file.display, str(error), self.report, error.span)
-            if suffix == ".py":
-                self.evidence.unread_launches.append(file.display)
+            self.result.skip(file, error, self.evidence.unread_launches if suffix == ".py" else [])
 
     def read_yaml_file(self, file: RobotFile, data: bytes) -> None:
         is_parameters = b"ros__parameters" in data
@@ -147,9 +146,9 @@ class _Reader:
             self.evidence.launches.append(launch_files.read_yaml(document, file.display, file.path))
 
     def read_xml_file(self, file: RobotFile, data: bytes) -> None:
-        root = descriptions.read_xml(data, file.display, file.path)
+        root = read_xml(data, file.display, file.path)
         if root.tag == "sdf":
-            models = read_sdf(root, file.display, file.path, self.report)
+            models = descriptions.read_sdf(root, file.display, file.path, self.report)
             self.evidence.descriptions += models
         elif root.tag in ("mujoco", "mujocoinclude"):
             self.mjcf_files[os.path.realpath(file.path)] = file, root
@@ -167,16 +166,16 @@ class _Reader:
             for element in walk(root)
             if element.tag in ("include", "model")
         }
-        for path, (file, root) in self.mjcf_files.items():
-            if root.tag != "mujoco" or file.path.name in included:
-                continue
-            try:
-                include = partial(self.included, path)
-                model = read_mjcf_description(root, file.display, file.path, include)
-                self.evidence.descriptions += [model] if model is not None else []
-            except UnreadableFileError as error:
-                skip(file.display, str(error), self.report, error.span)
-                self.evidence.incomplete.append(file.display)
+        with mujoco_worker() as worker:
+            for path, (file, root) in self.mjcf_files.items():
+                if root.tag != "mujoco" or file.path.name in included:
+                    continue
+                try:
+                    include = partial(self.included, path)
+                    model = descriptions.read_mujoco(root, file.display, include, worker)
+                    self.evidence.descriptions += [model] if model.joints else []
+                except UnreadableFileError as error:
+                    self.result.skip(file, error, self.evidence.incomplete)
 
     def included(self, top: str, element: Element) -> Element:
         """Returns the root element of the file that an ``<include>`` names."""
@@ -237,11 +236,6 @@ class Survey:
             raise UnreadableFileError(getattr(error, "strerror", None) or str(error)) from None
         self.read_bytes += len(data)
         return data
-
-
-def skip(display: str, reason: str, report: Report, span: Span | None = None) -> None:
-    """Adds the note that a file, or a part of it, is not audited."""
-    report.add("audit-file-skipped", f"`{display}` is not audited: {reason}", span or Span(display))
 
 
 def survey(names: list[str], report: Report) -> Survey:
@@ -330,11 +324,11 @@ _FLAG = re.compile(
 
 
 class _Job(NamedTuple):
-    """A file to expand with some arguments; ``path`` is the file, or one that calls its macro."""
+    """A file to expand with some arguments and a call of its macro."""
 
     file: RobotFile
     data: bytes
-    path: Path
+    macro: str
     arguments: dict[str, str]
     is_variant: bool = False
 
@@ -344,7 +338,7 @@ class _Expansion:
 
     def __init__(self, result: Audit, trust: bool) -> None:
         self.packages = {name: str(folder) for name, folder in result.evidence.packages.items()}
-        self.evidence, self.report, self.sources = result.evidence, result.report, result.sources
+        self.result, self.evidence, self.report = result, result.evidence, result.report
         self.trust = trust
         self.included: set[Path] = set()
 
@@ -361,30 +355,30 @@ class _Expansion:
             file.path for file, _ in files if any(fnmatch(file.path.name, end) for end in ends)
         }
         jobs = [
-            _Job(file, data, file.path, {})
+            _Job(file, data, "", {})
             for file, data in files
             if (robot := _ROBOT.search(data)) is not None
             and (re.search(rb"\bname\s*=", robot[1]) or file.path not in self.included)
         ]
         end = time.monotonic() + EXPANSION_SECONDS
-        with tempfile.TemporaryDirectory() as folder:
-            while jobs and time.monotonic() < end:
-                first = jobs[0].file
-                batch = [j for j in jobs[:FILES_PER_WORKER] if j.file.root == first.root]
-                jobs = [job for job in jobs if job not in batch]
-                for job, result in zip(batch, self.expand(batch), strict=True):
-                    self.sources.update(result.files)
-                    jobs += self.read(job, result, Path(folder))
+        while jobs and time.monotonic() < end:
+            first = jobs[0].file
+            batch = [j for j in jobs[:FILES_PER_WORKER] if j.file.root == first.root]
+            jobs = [job for job in jobs if job not in batch]
+            for job, result in zip(batch, self.expand(batch), strict=True):
+                self.result.sources.update(result.files)
+                jobs += self.read(job, result)
         for job in jobs:
             if not job.is_variant:
-                self.skip(job.file, "the expansion of the other files took too long")
+                error = UnreadableFileError("the expansion of the other files took too long")
+                self.result.skip(job.file, error, self.evidence.incomplete)
 
     def expand(self, jobs: Sequence[_Job]) -> list[ExpandedFile]:
         """Expands files below one root."""
         file = jobs[0].file
         requests = [
             xacro_expand.ExpansionRequest(
-                job.path, job.arguments, self.packages, source_layout=True
+                job.file.path, job.arguments, self.packages, source_layout=True, macro=job.macro
             )
             for job in jobs
         ]
@@ -392,11 +386,7 @@ class _Expansion:
         shown = xacro_expand.DisplayPaths(file.root, display, {})
         return xacro_expand.expand(requests, shown, trust=self.trust)
 
-    def skip(self, file: RobotFile, reason: str, span: Span | None = None) -> None:
-        skip(file.display, reason, self.report, span)
-        self.evidence.incomplete.append(file.display)
-
-    def read(self, job: _Job, result: ExpandedFile, folder: Path) -> list[_Job]:
+    def read(self, job: _Job, result: ExpandedFile) -> list[_Job]:
         """Adds the description in an expanded file, and returns what else to expand.
 
         A flag, such as the choice between a simulated and a real robot, decides on parts of a file;
@@ -412,7 +402,8 @@ class _Expansion:
             if is_new and len(job.arguments) < MAX_MISSING_ARGUMENTS:
                 return [job._replace(arguments={**job.arguments, name: "true"})]
             reason = FAILURES[failure.kind][1].format(text=failure.text)
-            self.skip(file, reason, failure.span)
+            error = UnreadableFileError(reason, failure.span)
+            self.result.skip(file, error, self.evidence.incomplete)
             return []
         if self.add_description(file, result, Report() if job.is_variant else self.report):
             flags = {n.decode(): v.lower() == b"true" for n, v in _FLAG.findall(job.data)}
@@ -424,17 +415,8 @@ class _Expansion:
                 )
                 for name in (known if not job.is_variant else ())
             ]
-        if job.path != file.path or not any(
-            m.name == stem and not m.required for m in result.macros
-        ):
-            return []
-        caller = folder / f"{len(list(folder.iterdir()))}.urdf.xacro"
-        caller.write_text(
-            f'<robot name="{stem}" xmlns:xacro="http://www.ros.org/wiki/xacro">'
-            f"<xacro:include filename={quoteattr(str(file.path))}/><xacro:{stem}/></robot>",
-            encoding="utf-8",
-        )
-        return [job._replace(path=caller)]
+        is_macro = any(macro.name == stem and not macro.required for macro in result.macros)
+        return [job._replace(macro=stem)] if is_macro and not job.macro else []
 
     def add_description(self, file: RobotFile, result: ExpandedFile, report: Report) -> bool:
         """Adds the robot in the elements of a file, and returns whether there is one."""

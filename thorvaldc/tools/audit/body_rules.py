@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
+import functools
 import math
+import os
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 from urllib.parse import unquote
 
 from thorvaldc.compiler.descriptions.description import PlacedShape
@@ -17,7 +17,7 @@ from thorvaldc.compiler.shapes.meshes import load_mesh, shared_mesh_workers
 from thorvaldc.compiler.shapes.solids import measures
 from thorvaldc.diagnostics import Label, Report, Span, plain
 from thorvaldc.diagnostics.files import read_json
-from thorvaldc.model import Joint, MeshShape, Vec3
+from thorvaldc.model import Joint, Link, MeshShape
 from thorvaldc.model.statics.occupied_space import corners_of
 from thorvaldc.model.statics.tip_over import Point, convex_hull
 from thorvaldc.model.stl import mesh_vertices
@@ -30,69 +30,65 @@ def check_bodies(evidence: facts.Evidence, report: Report) -> None:
         check_description(description, report)
 
 
-# -- meshes, of which the time and the number are limited ---------------------------------
+# -- meshes, which are read in a limited time ---------------------------------------------
 
 MESH_SECONDS = 30.0
-MAX_MESHES = 300
-
-
-class _LinkMesh(NamedTuple):
-    """A mesh of a link and its file; ``other`` is the half diagonal (m) of its other shapes."""
-
-    link: str
-    name: str
-    scale: Vec3
-    path: Path
-    span: Span
-    other: float
 
 
 def check_meshes(evidence: facts.Evidence, report: Report) -> None:
     """Reports meshes of a size that suggests millimetres, and missing mesh files."""
-    meshes = _meshes(evidence)
-    sizes = _mesh_sizes(dict.fromkeys(mesh.path for mesh in meshes))
-    for mesh in meshes:
-        if mesh.path not in sizes:
-            if not mesh.path.exists():
-                report.add(
-                    "audit-mesh-missing",
-                    f"the mesh file `{mesh.name}` does not exist",
-                    mesh.span,
-                    hint="check spelling and case; paths are relative to the package",
-                )
-            continue
-        edges = zip(mesh.scale, sizes[mesh.path], strict=True)
-        largest, hint = max(abs(scale) * edge for scale, edge in edges), ""
-        if largest > MAX_LENGTH or largest > 100.0 * mesh.other:
-            is_scaled = max(map(abs, mesh.scale)) <= 0.1
-            hint = (
-                "is its scale right?" if is_scaled else "is it in mm? use it with a scale of 0.001"
-            )
-        elif 0.0 < largest < 1e-4:
-            hint = "is it in m already, so that the scale 0.001 is too much?"
-        if hint:
-            report.add(
-                "length-unit",
-                f"the mesh `{mesh.name}` of link `{mesh.link}` measures {plain(largest, 3)} m",
-                mesh.span,
-                hint=hint,
-            )
-
-
-def _meshes(evidence: facts.Evidence) -> list[_LinkMesh]:
-    """Returns the meshes of URDF and SDF with their files, if their package is audited."""
-    meshes: list[_LinkMesh] = []
-    for description in evidence.descriptions:
-        for link in description.links.values() if description.format != "MJCF" else ():
-            shapes = list(description.shapes(link))
-            sizes = [size for s in shapes if (size := measures(s.shape)) is not None]
-            other = max((size.half_diagonal for size in sizes), default=math.inf)
-            for shape, _, _, span in shapes:
-                if isinstance(shape, MeshShape):
+    end, edges_of = time.monotonic() + MESH_SECONDS, functools.cache(_mesh_edges)
+    with shared_mesh_workers():
+        for description in evidence.descriptions:
+            # MuJoCo finds meshes by names that are not read.
+            for link in description.links.values() if description.format != "MJCF" else ():
+                for shape, _, _, span in description.shapes(link):
+                    if not isinstance(shape, MeshShape):
+                        continue
                     path = _mesh_path(shape.mesh, description, evidence)
-                    mesh = (link.name, shape.mesh, shape.scale)
-                    meshes += [_LinkMesh(*mesh, path, span, other)] if path is not None else []
-    return meshes
+                    if path is not None and not os.path.exists(path):
+                        report.add(
+                            "audit-mesh-missing",
+                            f"the mesh file `{shape.mesh}` does not exist",
+                            span,
+                            hint="check spelling and case; paths are relative to the package",
+                        )
+                    elif path is not None and time.monotonic() < end:
+                        _check_size(shape, edges_of(path), description, link, span, report)
+
+
+def _check_size(
+    mesh: MeshShape,
+    edges: Sequence[float],
+    description: FileDescription,
+    link: Link,
+    span: Span,
+    report: Report,
+) -> None:
+    """Compares the size of a mesh with that of the other shapes of its link."""
+    sizes = [size for s in description.shapes(link) if (size := measures(s.shape)) is not None]
+    other = max((size.half_diagonal for size in sizes), default=math.inf)
+    scaled = [abs(scale) * edge for scale, edge in zip(mesh.scale, edges, strict=False)]
+    largest, hint = max(scaled, default=0.0), ""
+    if largest > MAX_LENGTH or largest > 100.0 * other:
+        is_scaled = max(map(abs, mesh.scale)) <= 0.1
+        hint = "is its scale right?" if is_scaled else "is it in mm? use it with a scale of 0.001"
+    elif 0.0 < largest < 1e-4:
+        hint = "is it in m already, so that the scale 0.001 is too much?"
+    if hint:
+        report.add(
+            "length-unit",
+            f"the mesh `{mesh.mesh}` of link `{link.name}` measures {plain(largest, 3)} m",
+            span,
+            hint=hint,
+        )
+
+
+def _mesh_edges(path: Path) -> list[float]:
+    """Returns the edges (m) of the bounding box of a mesh with scale 1; none if it is unread."""
+    mesh = load_mesh(path, Span(path.name), Report(), display=path.name)
+    points = mesh_vertices(mesh.name, mesh.data) if mesh is not None else ()
+    return [max(axis) - min(axis) for axis in zip(*points, strict=True)]
 
 
 def _mesh_path(name: str, description: FileDescription, evidence: facts.Evidence) -> Path | None:
@@ -105,21 +101,6 @@ def _mesh_path(name: str, description: FileDescription, evidence: facts.Evidence
         path = Path(unquote(name.removeprefix("file://")))
         return path if path.is_absolute() and str(path) != "/" else None
     return description.path.parent / name if name and "://" not in name else None
-
-
-def _mesh_sizes(paths: Iterable[Path]) -> dict[Path, list[float]]:
-    """Returns the edges (m) of the bounding boxes of meshes that can be read, with scale 1."""
-    sizes: dict[Path, list[float]] = {}
-    end = time.monotonic() + MESH_SECONDS
-    with shared_mesh_workers():
-        for path in itertools.islice(paths, MAX_MESHES):
-            if time.monotonic() > end:
-                break
-            mesh = load_mesh(path, Span(path.name), Report(), display=path.name)
-            points = mesh_vertices(mesh.name, mesh.data) if mesh is not None else ()
-            if points:
-                sizes[path] = [max(axis) - min(axis) for axis in zip(*points, strict=True)]
-    return sizes
 
 
 # -- footprints of Nav2 -----------------------------------------------------------------

@@ -1,82 +1,19 @@
-"""Reads XML files, and URDF elements to the description of a robot with its plug-ins.
-
-Models in SDF and MJCF become URDF elements first, so that one reader reads all three.
-"""
+"""Reads URDF elements, SDF and MJCF to descriptions of robots with their plug-ins."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-from xml.parsers import expat
 
-from thorvaldc.compiler.descriptions.facts import UNLIMITED, FileDescription, UnreadableFileError
-from thorvaldc.compiler.extras.plugin_facts import numbers, plugin_facts, ros2_control_facts
+from thorvaldc.compiler.descriptions.facts import FileDescription
+from thorvaldc.compiler.extras.plugin_facts import plugin_facts, ros2_control_facts
+from thorvaldc.compiler.extras.sdf_reader import sdf_models
 from thorvaldc.compiler.extras.urdf_reader import read_urdf
 from thorvaldc.compiler.extras.xacro_expand import Element
-from thorvaldc.diagnostics import Report, Span
-from thorvaldc.model import Mesh, Pose, Vec3
-
-# -- XML files, without document types and entities -------------------------------------
-
-MAX_ELEMENTS = 200_000
-MAX_DEPTH = 100
-
-
-def read_xml(data: bytes, display: str, path: Path) -> Element:
-    """Returns the root element of an XML document.
-
-    Raises ``UnreadableFileError`` if the text is not XML, has a document type with entities, is
-    nested more than ``MAX_DEPTH`` levels deep or has more than ``MAX_ELEMENTS`` elements.
-    """
-    parser = expat.ParserCreate()
-    # The open elements: attributes, place, children and texts of each.
-    stack: list[tuple[dict[str, str], Span, list[Element], list[str]]] = [({}, Span(""), [], [])]
-    count = 0
-
-    def here(length: int = 1) -> Span:
-        line, column = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
-        return Span(display, line, column, line, column + length)
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal count
-        count += 1
-        if count > MAX_ELEMENTS:
-            raise UnreadableFileError(f"it has more than {MAX_ELEMENTS} elements", here())
-        if len(stack) > MAX_DEPTH:
-            raise UnreadableFileError(f"it is nested more than {MAX_DEPTH} levels deep", here())
-        stack.append((attributes, here(len(tag) + 1), [], []))
-
-    def end(tag: str) -> None:
-        attributes, span, children, texts = stack.pop()
-        text = "".join(texts).strip()
-        stack[-1][2].append(Element(tag, attributes, tuple(children), text, span, (), path))
-
-    def refuse(*_: Any) -> None:
-        raise UnreadableFileError("it defines entities", here())
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
-    parser.CharacterDataHandler = lambda text: stack[-1][3].append(text)
-    parser.EntityDeclHandler = refuse
-    try:
-        parser.Parse(data, True)
-    except expat.ExpatError as error:
-        span = Span(display, error.lineno, error.offset + 1, error.lineno, error.offset + 2)
-        text = expat.ErrorString(error.code)
-        raise UnreadableFileError(f"line {error.lineno}: {text}", span) from None
-    except LookupError as error:  # an encoding that Python does not know
-        raise UnreadableFileError(str(error), here()) from None
-    return stack[0][2][0]
-
-
-def vector(text: str | None, default: Vec3 = (0.0, 0.0, 0.0)) -> Vec3:
-    """Returns the vector in a text, or the default if the text does not contain three numbers."""
-    values = numbers(text, 3)
-    return default if values is None else (values[0], values[1], values[2])
-
-
-# -- URDF elements ----------------------------------------------------------------------
+from thorvaldc.compiler.sandbox.worker_process import Worker
+from thorvaldc.diagnostics import Report
+from thorvaldc.model import Mesh, Vec3
+from thorvaldc.simulation.physics.mjcf_reader import Include, read_mjcf
 
 
 def read_description(
@@ -101,51 +38,29 @@ def _unread_mesh(name: str, element: Element, scale: Vec3, is_visual: bool) -> M
     return Mesh(name, "")
 
 
-class UrdfElements:
-    """Makes the URDF elements of a model in another format, at one place of the file."""
-
-    def __init__(self, source: Element) -> None:
-        self.source = source
-
-    def element(self, tag: str, /, *children: Element | None, **attributes: str) -> Element:
-        inner = tuple(child for child in children if child is not None)
-        return Element(tag, attributes, inner, "", self.source.span, (), self.source.file)
-
-    def origin(self, pose: Pose) -> Element:
-        return self.element("origin", xyz=_text(pose.xyz), rpy=_text(pose.rpy()))
-
-    def joint(
-        self,
-        name: str,
-        kind: str,
-        parent: str,
-        child: str,
-        pose: Pose,
-        axis: Vec3 = (0.0, 0.0, 1.0),
-        limits: Sequence[float] = (),
-        limit_source: Element | None = None,
-    ) -> Element:
-        """Returns a joint; ``limits`` are lower, upper, and possibly velocity and effort."""
-        stated = [(n, v) for n, v in zip(_LIMITS, limits, strict=False) if abs(v) < UNLIMITED]
-        if kind == "revolute" and not any(n in ("lower", "upper") for n, _ in stated):
-            kind = "continuous"
-        limit = UrdfElements(limit_source or self.source).element(
-            "limit", **{name: repr(value) for name, value in stated}
-        )
-        return self.element(
-            "joint",
-            self.origin(pose),
-            self.element("parent", link=parent),
-            self.element("child", link=child),
-            self.element("axis", xyz=_text(axis)),
-            limit if stated else None,
-            name=name,
-            type=kind,
-        )
+def read_sdf(root: Element, file: str, path: Path, report: Report) -> list[FileDescription]:
+    """Returns the models with joints in an ``<sdf>`` document."""
+    descriptions: list[FileDescription] = []
+    for model in sdf_models(root):
+        name = model.name(model.model) or Path(file).name
+        description = FileDescription(format="SDF", name=name, file=file, path=path)
+        description.frames = model.frames
+        read_description(description, model.elements(), report)
+        # Links of models inside of this one are not read.
+        ends = (end for j in description.joints.values() for end in (j.parent, j.child))
+        inner = [end for end in ends if "::" in end]
+        description.check_joints(report, [*model.named, "world", *inner])
+        for joint in list(description.joints.values()):
+            if joint.child not in description.links:
+                del description.joints[joint.name]
+        descriptions.append(description)
+    return descriptions
 
 
-_LIMITS = ("lower", "upper", "velocity", "effort")
-
-
-def _text(values: Sequence[float]) -> str:
-    return " ".join(map(repr, values))
+def read_mujoco(root: Element, file: str, include: Include, worker: Worker) -> FileDescription:
+    """Returns the robot of a ``<mujoco>`` document.  Raises ``UnreadableFileError``."""
+    parts = read_mjcf(root, include, worker)
+    name = root.attributes.get("model", Path(file).name)
+    description = FileDescription(format="MJCF", name=name, file=file, path=root.file)
+    description.frames = {*parts.frames}
+    return read_description(description, parts.elements, Report())

@@ -1,4 +1,4 @@
-"""Rules about driving: wheels, limits of joints, speeds and stamps of twists."""
+"""Rules about driving: wheels, one robot in several formats, speeds and stamps of twists."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from thorvaldc.compiler.descriptions.wheel_rules import (
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model.spatial import norm, sub
 from thorvaldc.tools.audit.audit_facts import Evidence, affinity, closest
-from thorvaldc.tools.audit.parameter_facts import stamped_arguments
 
 
 def check_wheels(evidence: Evidence, report: Report) -> None:
@@ -38,37 +37,7 @@ def _places(evidence: Evidence, facts: Sequence[Fact]) -> list[Stated]:
     return [(f, evidence.related(f.span.file, tuple(filter(None, f.names)))) for f in facts]
 
 
-# -- limits of joints, and one robot in several descriptions ----------------------------
-
-
-def check_command_limits(evidence: Evidence, report: Report) -> None:
-    """Reports commands of ``<ros2_control>`` that go beyond the limits of the joint."""
-    for description in evidence.descriptions:
-        worst: dict[tuple[str, str], tuple[float, Fact, Fact]] = {}
-        for fact in description.facts:
-            interface, _, end = fact.kind.partition(" ")
-            joint = description.joints.get(fact.names[0]) if fact.names else None
-            if joint is None or end not in ("min", "max"):
-                continue
-            position = "upper" if end == "max" else "lower"
-            quantity = {"velocity": "velocity", "position": position}.get(interface)
-            limit = description.limit(joint, quantity) if quantity is not None else None
-            if limit is None or (interface == "velocity" and limit.value <= 0.0):
-                continue
-            bound = -limit.value if interface == "velocity" and end == "min" else limit.value
-            excess = fact.value - bound if end == "max" else bound - fact.value
-            known = worst.get((joint.name, interface))
-            if excess > TOLERANCE * max(abs(bound), 1e-3) and (known is None or excess > known[0]):
-                worst[joint.name, interface] = excess, fact, limit._replace(value=bound)
-        for (name, interface), (_, fact, limit) in worst.items():
-            report.add(
-                "audit-joint-limit",
-                f"{fact.subject} allows a {interface} of {fact.value:g} {limit.unit} for joint"
-                f" `{name}`, whose limit is {limit.value:g} {limit.unit}",
-                fact.span,
-                hint="write the limit of the motor in both places",
-                labels=[Label(limit.span, "limit here")],
-            )
+# -- one robot in several descriptions --------------------------------------------------
 
 
 def _pairs(evidence: Evidence) -> Iterator[tuple[FileDescription, FileDescription]]:
@@ -141,10 +110,9 @@ def check_stamps(evidence: Evidence, report: Report) -> None:
     """Reports nodes that exchange Twist with nodes that exchange TwistStamped."""
     if any(node.package == "twist_stamper" for f in evidence.launches for node in f.nodes):
         return  # it converts one type to the other
-    decided = {f"({name})" for name in stamped_arguments(evidence)}
-    facts = [
-        fact for fact in evidence.stated("stamped") if fact.subject.partition(" ")[2] not in decided
-    ]
+    facts = evidence.stated("stamped")
+    decided = {fact.subject.partition(" ")[2] for fact in facts if fact.value is None}
+    facts = [fact for fact in facts if fact.subject.partition(" ")[2] not in decided]
     stamped = sum(1 for fact in facts if fact.value)
     rare = 2 * stamped <= len(facts)  # the type of fewer nodes is reported
     for fact in (fact for fact in facts if bool(fact.value) is rare):

@@ -44,10 +44,6 @@ _KEYWORDS = {
 }
 
 
-def is_python_launch(data: bytes) -> bool:
-    return b"generate_launch_description" in data
-
-
 def read_python(data: bytes, file: str, path: Path) -> facts.LaunchFile:
     """Reads a Python launch file.  Raises ``UnreadableFileError``."""
     try:
@@ -94,8 +90,7 @@ class _PythonElements:
         if call.args and tag in ("arg", "include"):
             attributes["name" if tag == "arg" else "file"] = _text(self.value(call.args[0]))
         attributes["args"] = " ".join(map(str, self.items(keyword(call, "arguments"))))
-        children = [*self.parameters(call), *self.remappings(call)]
-        return self.element(tag, _span(call, self.file), attributes, children)
+        return self.element(tag, _span(call, self.file), attributes, self.parameters(call))
 
     def items(self, node: ast.expr | None) -> list[Any]:
         value = self.value(node)
@@ -120,12 +115,6 @@ class _PythonElements:
                 kind = "str" if isinstance(entry, str) else None
                 attributes = {"name": name, "value": text, "type": kind}
                 yield self.element("param", place, attributes)
-
-    def remappings(self, call: ast.Call) -> Iterator[Element]:
-        for pair in self.items(keyword(call, "remappings")):
-            if isinstance(pair, list) and len(pair) == 2:
-                names = dict(zip(("from", "to"), pair, strict=True))
-                yield self.element("remap", _span(call, self.file), names)
 
     def value(self, node: ast.expr | None) -> Any:
         """Returns a text, number, flag, list or dict; ``None`` stands for an unknown value.
@@ -267,10 +256,7 @@ def _node_of(element: Element, defaults: dict[str, str]) -> facts.LaunchedNode:
     attributes = element.attributes
     parameters: dict[str, Fact] = {}
     files: list[Fact] = []
-    remappings: list[str] = []
     for child in element.children:
-        if child.tag == "remap":
-            remappings.append(child.attributes.get("to", ""))
         if child.tag not in ("param", "rosparam"):
             continue
         source = child.attributes.get("from") or child.attributes.get("file")
@@ -288,7 +274,6 @@ def _node_of(element: Element, defaults: dict[str, str]) -> facts.LaunchedNode:
         span=element.span,
         parameters=parameters,
         parameter_files=tuple(files),
-        remappings=tuple(remappings),
         arguments=tuple(attributes.get("args", "").split()),
     )
 

@@ -1,17 +1,12 @@
-"""Rules about names: joints, files and frames that files name must exist.
-
-Each transform has one owner.
-"""
+"""Rules about names: joints, files and frames that files name must exist."""
 
 from __future__ import annotations
 
+import os
+
 from thorvaldc.compiler.descriptions.facts import Fact, FileDescription
-from thorvaldc.diagnostics import Label, Report, did_you_mean
-from thorvaldc.tools.audit.audit_facts import (
-    Evidence,
-    affinity,
-    closest,
-)
+from thorvaldc.diagnostics import Report, did_you_mean
+from thorvaldc.tools.audit.audit_facts import Evidence, affinity
 from thorvaldc.tools.audit.launch_files import resolved
 from thorvaldc.tools.audit.parameter_facts import published_frames
 
@@ -60,20 +55,13 @@ def check_launched_files(evidence: Evidence, report: Report) -> None:
         for fact in files:
             path = resolved(fact, launch, evidence)
             is_local = str(fact.value).startswith("package://")
-            try:
-                is_missing = is_local and path is not None and not path.exists()
-            except (OSError, ValueError):
-                is_missing = True
-            if is_missing:
+            if is_local and path is not None and not os.path.exists(path):
                 report.add(
                     "audit-file-missing",
                     f"the {fact.kind} `{fact.value.removeprefix('package://')}` does not exist",
                     fact.span,
                     hint="paths of packages begin with the folder that the package installs",
                 )
-
-
-# -- frames and transforms --------------------------------------------------------------
 
 
 def check_frames(evidence: Evidence, report: Report) -> None:
@@ -104,29 +92,4 @@ def _report_frame(fact: Fact, known: set[str], report: Report) -> None:
             "add the link, or a static transform to it",
             fixable=False,
         ),
-    )
-
-
-def check_transform_owners(evidence: Evidence, report: Report) -> None:
-    """Reports a drive controller and an estimator that both publish the transform of odometry."""
-    controllers = evidence.stated("controller transform")
-    estimators = evidence.stated("estimator transform")
-    for fact in estimators:
-        nearby = closest([c for c in controllers if c.names == fact.names], fact.span.file)
-        if fact.value and nearby and all(controller.value for controller in nearby):
-            _report_owners(fact, nearby[0], "enable_odom_tf of the controller", report)
-    for _, plugin in evidence.described("plug-in transform"):
-        nearby = closest([e for e in estimators if e.names == plugin.names], plugin.span.file)
-        if nearby and all(estimator.value for estimator in nearby):
-            _report_owners(nearby[0], plugin, "publish_odom_tf of the plug-in", report)
-
-
-def _report_owners(estimator: Fact, other: Fact, switch: str, report: Report) -> None:
-    report.add(
-        "audit-transform-owners",
-        f"{estimator.subject} and {other.subject} both publish the transform from"
-        f" `{estimator.names[0]}` to the robot, which then jumps between two poses",
-        estimator.span,
-        hint=f"let the estimator publish it, and set {switch} to false",
-        labels=[Label(other.span, "the other owner")],
     )

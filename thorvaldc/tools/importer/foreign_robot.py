@@ -1,7 +1,8 @@
-"""Reads a URDF or xacro file of others, and the parameters of its controllers."""
+"""Reads a description of others, and the parameters of its controllers."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,9 +30,11 @@ from thorvaldc.compiler.extras.plugin_facts import plugin_facts, ros2_control_fa
 from thorvaldc.compiler.extras.urdf_reader import UrdfParts, read_urdf
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.readable_folders import real_folders
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.diagnostics.files import read_bounded
 from thorvaldc.model import Mesh
+from thorvaldc.tools.importer import other_formats
 
 MAX_PARAMETER_BYTES = 1_000_000
 _HINTS = {"argument": "state it after the file: `thorvaldc import {file} {name}:=VALUE -o FOLDER`"}
@@ -66,7 +69,7 @@ def read_robot(
     report: Report,
     arguments: Mapping[str, str] | None = None,
 ) -> ForeignRobot:
-    """Returns the robot in a URDF or xacro file; what cannot be read is reported.
+    """Returns the robot in a URDF, xacro, SDF or MJCF file; what cannot be read is reported.
 
     ``arguments``: values of the arguments of a xacro file, by name.
     """
@@ -82,6 +85,18 @@ def read_robot(
     request = xacro_expand.ExpansionRequest(path.absolute(), stated, {}, source_layout=True)
     folder = "" if str(path.parent) == "." else str(path.parent)
     shown = xacro_expand.DisplayPaths(path.absolute().parent, folder, {})
+    search = xacro_expand.search_paths()
+    readable = xacro_expand.readable_folders([request], path.absolute().parent, search)
+    if path.suffix.lower() not in (".urdf", ".xacro"):
+        # Meshes often lie in a folder beside that of the file, or in another model of Gazebo there.
+        beside = path.absolute().parent.parent
+        readable += real_folders([beside])
+        loader = MeshLoader(_folders(beside), shown, readable, report)
+        elements = other_formats.read_elements(robot.description, loader, robot.sources, report)
+        _add_elements(robot, elements, loader, report)
+        if controllers is not None and robot.description.links:
+            _read_controllers(robot, controllers, report)
+        return robot
     expanded = xacro_expand.expand([request], shown)[0]
     robot.sources |= expanded.files
     if expanded.failure is not None:
@@ -93,18 +108,31 @@ def read_robot(
         report.add(code, message.format(text=failure.text), span, hint=hint, labels=labels)
         return robot
     report_unused_names(expanded, "args", request, {}, Span(str(path)), report)
-    search = xacro_expand.search_paths()
-    readable = xacro_expand.readable_folders([request], path.absolute().parent, search)
     loader = MeshLoader(expanded.packages, expanded.paths, readable, report)
-    parts = read_urdf(expanded.elements, "", loader, report)
-    robot.elements, robot.mesh_files = expanded.elements, loader.files
-    robot.meshes = {mesh.name: mesh for mesh in parts.meshes}
-    _add_parts(robot.description, parts, report)
-    for element in expanded.elements:
-        _read_drive(robot, element)
+    _add_elements(robot, expanded.elements, loader, report)
     if controllers is not None and robot.description.links:
         _read_controllers(robot, controllers, report)
     return robot
+
+
+def _folders(folder: Path) -> dict[str, str]:
+    """Returns the folders in a folder by name."""
+    try:
+        return {entry.name: entry.path for entry in os.scandir(folder) if entry.is_dir()}
+    except OSError:
+        return {}
+
+
+def _add_elements(
+    robot: ForeignRobot, elements: Sequence[Element], loader: MeshLoader, report: Report
+) -> None:
+    """Adds the robot in the child elements of ``<robot>``."""
+    parts = read_urdf(elements, "", loader, report)
+    robot.elements, robot.mesh_files = elements, loader.files
+    robot.meshes = {mesh.name: mesh for mesh in parts.meshes}
+    _add_parts(robot.description, parts, report)
+    for element in elements:
+        _read_drive(robot, element)
 
 
 def _add_parts(description: FileDescription, parts: UrdfParts, report: Report) -> None:
@@ -138,17 +166,17 @@ def _read_drive(robot: ForeignRobot, element: Element) -> None:
                 if interface.tag == "command_interface":
                     _note(robot, joint, interface.attributes.get("name", ""))
     elif element.tag == "gazebo":
-        facts = plugin_facts(element)
-        description.facts += facts
-        for fact in facts:
-            if fact.kind == "joint":
-                steers = "steer" in str(fact.value)
-                joints = robot.position_joints if steers else robot.velocity_joints
-                joints.setdefault(str(fact.value), fact.span)
+        description.facts += plugin_facts(element)
         for plugin in walk(element):
             if plugin.tag == "plugin":
                 name = f"{plugin.attributes.get('name', '')} {plugin.attributes.get('filename')}"
                 robot.controller_types.setdefault(name, plugin.span)
+                is_publisher = "state" in name.lower()  # of the states of joints
+                for fact in plugin_facts(plugin) if not is_publisher else ():
+                    if fact.kind == "joint":
+                        steers = "steer" in str(fact.value)
+                        joints = robot.position_joints if steers else robot.velocity_joints
+                        joints.setdefault(str(fact.value), fact.span)
     elif element.tag == "transmission":
         interfaces = [e.text for e in walk(element) if e.tag == "hardwareInterface"]
         for joint in element.children:

@@ -10,7 +10,7 @@ import typer
 from thorvaldc.cli.diagnostic_output import show_report
 from thorvaldc.cli.exits import INPUT, OutsideError, write_errors
 
-_DESCRIPTIONS = (".urdf", ".xacro")
+_DESCRIPTIONS = (".urdf", ".xacro", ".sdf", ".world", ".xml", ".mjcf")
 
 
 def import_file(
@@ -18,14 +18,15 @@ def import_file(
         str,
         typer.Argument(
             metavar="FILE",
-            help="A configuration file of the original Thorvald system, or a URDF or xacro file.",
+            help="A configuration file of the original Thorvald system, or a URDF, xacro, SDF or"
+            " MJCF file.",
         ),
     ],
     more: Annotated[
         list[str],
         typer.Argument(
             metavar="CONTROLLERS|NAME:=VALUE",
-            help="ROS parameter file of the controllers of a URDF, and arguments of a xacro file.",
+            help="ROS parameter file of the controllers of a robot, and arguments of a xacro file.",
             show_default=False,
         ),
     ] = [],  # noqa: B006
@@ -35,7 +36,7 @@ def import_file(
             "--output",
             "-o",
             metavar="OUT",
-            help="File to write; of a URDF or xacro file, the folder.",
+            help="File to write; of a URDF, xacro, SDF or MJCF file, the folder.",
             show_default="stdout",
         ),
     ] = "",
@@ -44,10 +45,12 @@ def import_file(
     controllers = [Path(word) for word in more if ":=" not in word]
     if len(controllers) > 1:
         raise typer.BadParameter(f"one file states the controllers, not `{controllers[1]}` too")
+    if arguments and Path(file).suffix.lower() not in _DESCRIPTIONS[:2]:
+        raise typer.BadParameter("only a xacro file has arguments")
     if Path(file).suffix.lower() in _DESCRIPTIONS:
         return _import_urdf(Path(file), controllers[0] if controllers else None, arguments, output)
     if more:
-        raise typer.BadParameter("only a URDF or xacro file has controllers and arguments")
+        raise typer.BadParameter("only a description of a robot has controllers")
     from thorvaldc.tools.importer.original_import import import_original as convert
 
     result = convert(Path(file))

@@ -1,9 +1,10 @@
-"""Converts a URDF or xacro file of others to a robot.yaml and a folder with its own modules.
+"""Converts a description of others to a robot.yaml and a folder with its own modules.
 
 Each wheel, steering axis, caster and sensor, and each part that moves in the file without a role,
 becomes a module; equal modules are written once.  All other links are one module, the frame.
 Modules of this package, in order::
 
+    other_formats               SDF and MJCF -> elements of URDF
     foreign_robot               files -> description, who drives what
     wheel_roles, sensor_roles   description -> roles of joints and links
     urdf_import                 roles -> modules

@@ -4,28 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from pathlib import Path
 
-from thorvaldc.compiler.descriptions.facts import FileDescription
-from thorvaldc.compiler.extras.plugin_facts import numbers, plugin_facts
+from thorvaldc.compiler.extras.converted_elements import UrdfElements, vector
+from thorvaldc.compiler.extras.plugin_facts import numbers
 from thorvaldc.compiler.extras.xacro_expand import Element
-from thorvaldc.diagnostics import Report
 from thorvaldc.model import Pose, Vec3
 from thorvaldc.model.spatial import scale
-from thorvaldc.tools.audit.descriptions import (
-    UrdfElements,
-    read_description,
-    vector,
-)
 
+_TRUE = ("true", "1")
 _DEFAULT_MOMENTS = {"ixx": "1", "iyy": "1", "izz": "1"}
-_NO_LIMITS = {"lower": "-1e16", "upper": "1e16", "velocity": "1e16", "effort": "1e16"}
 
 
-def read_sdf(root: Element, file: str, path: Path, report: Report) -> list[FileDescription]:
+def sdf_models(root: Element) -> list[SdfModel]:
     """Returns the models with joints in an ``<sdf>`` document; scenery has none."""
+    version = numbers(root.attributes.get("version"), 1)
     return [
-        _Model(model).description(file, path, report)
+        SdfModel(model, has_old_axes=version is not None and version[0] < 1.5)
         for model in _models(root)
         if any(child.tag == "joint" for child in model.children)
     ]
@@ -45,14 +39,18 @@ def _values(element: Element | None) -> dict[str, str]:
     return {child.tag: child.text for child in children if child.text}
 
 
-class _Model:
+class SdfModel:
     """One ``<model>``; poses may be relative to other links, joints and frames.
 
     The frame of a link lies at its joint, as in URDF.
+
+    - ``named``: links, joints and frames by name.
+    - ``frames``: names of frames and sensors.
+    - ``has_old_axes``: whether axes are in the frame of the model, as before SDF 1.5.
     """
 
-    def __init__(self, model: Element) -> None:
-        self.model = model
+    def __init__(self, model: Element, *, has_old_axes: bool = False) -> None:
+        self.model, self.has_old_axes = model, has_old_axes
         self.links = {self.name(e): e for e in model.children if e.tag == "link"}
         self.joints = [e for e in model.children if e.tag == "joint"]
         frames = {self.name(e): e for e in model.children if e.tag == "frame"}
@@ -69,22 +67,31 @@ class _Model:
     def name(self, element: Element) -> str:
         return element.attributes.get("name", "")
 
-    def description(self, file: str, path: Path, report: Report) -> FileDescription:
-        name = self.model.attributes.get("name", Path(file).name)
-        description = FileDescription(format="SDF", name=name, file=file, path=path)
-        description.frames = self.frames
-        for plugin in self.model.children:
-            description.facts += plugin_facts(plugin) if plugin.tag == "plugin" else []
+    def elements(self) -> list[Element]:
+        """Returns the links and joints; plug-ins are in ``<gazebo>``, as in URDF."""
         elements = [self.link(e) for e in self.model.children if e.tag == "link"]
-        joints = [self.joint(joint) for joint in self.joints]
-        read_description(description, [*elements, *joints], report)
-        # Links of models inside of this one are not read.
-        ends = (end for j in description.joints.values() for end in (j.parent, j.child))
-        description.check_joints(report, [*self.named, "world", *(e for e in ends if "::" in e)])
-        for joint in list(description.joints.values()):
-            if joint.child not in description.links:
-                del description.joints[joint.name]
-        return description
+        elements += [self.joint(joint) for joint in self.joints]
+        plugins = [e for e in self.model.children if e.tag == "plugin"]
+        return elements + [UrdfElements(e).element("gazebo", e) for e in plugins]
+
+    def sensors(self) -> list[Element]:
+        """Returns the sensors in ``<gazebo>``, each with a link of its own at its pose."""
+        elements: list[Element] = []
+        taken = {*self.named}
+        for name, link in self.links.items():
+            X_LS = Pose(scale(-1.0, self.anchors.get(name, (0.0, 0.0, 0.0))))
+            for sensor in link.children:
+                if sensor.tag == "sensor":
+                    urdf, own = UrdfElements(sensor), self.name(sensor)
+                    own = f"{name}_{own}" if own in taken else own
+                    taken.add(own)
+                    pose = X_LS * self.pose(sensor)
+                    elements += [
+                        urdf.element("link", name=own),
+                        urdf.joint(f"joint of sensor {own}", "fixed", name, own, pose),
+                        urdf.element("gazebo", sensor, reference=own),
+                    ]
+        return elements
 
     def pose(self, element: Element, depth: int = 0) -> Pose:
         """Returns the pose of a link, joint or frame in the frame of the model."""
@@ -118,15 +125,19 @@ class _Model:
         for child in element.children:
             urdf, geometry = UrdfElements(child), child.find("geometry")
             if child.tag == "inertial":
-                parts.append(self.inertial(child))
+                parts.append(self.inertial(child, X_LS))
             elif child.tag in ("visual", "collision") and geometry is not None:
                 shapes = [_shape(shape) for shape in geometry.children]
                 origin = urdf.origin(X_LS * self.pose(child))
-                parts.append(urdf.element(child.tag, origin, urdf.element("geometry", *shapes)))
+                diffuse = _values(child.find("material")).get("diffuse")
+                color = urdf.element("color", rgba=diffuse) if diffuse else None
+                material = urdf.element("material", color) if child.tag == "visual" else None
+                body = urdf.element("geometry", *shapes)
+                parts.append(urdf.element(child.tag, origin, body, material))
         return UrdfElements(element).element("link", *parts, name=name)
 
-    def inertial(self, element: Element) -> Element:
-        parts: list[Element] = []
+    def inertial(self, element: Element, X_LS: Pose) -> Element:
+        parts = [UrdfElements(element).origin(X_LS * self.pose(element))]
         mass, inertia = element.find("mass"), element.find("inertia")
         if mass is not None and inertia is not None:
             moments = {**_DEFAULT_MOMENTS, **_values(inertia)}
@@ -142,10 +153,15 @@ class _Model:
         xyz = axis_element.find("xyz") if axis_element is not None else None
         axis = vector(xyz.text if xyz is not None else None, (0.0, 0.0, 1.0))
         frame = xyz.attributes.get("expressed_in", "") if xyz is not None else ""
+        if self.has_old_axes or _values(axis_element).get("use_parent_model_frame") in _TRUE:
+            frame = "__model__"
         X_MA = self.pose(self.named.get(frame, element)) if frame != "__model__" else Pose()
         limit = axis_element.find("limit") if axis_element is not None else None
-        texts = {**_NO_LIMITS, **_values(limit)}
-        stated = [(numbers(texts[name], 1) or (math.inf,))[0] for name in _NO_LIMITS]
+        stated = {n: v[0] for n, t in _values(limit).items() if (v := numbers(t, 1)) is not None}
+        for name in ("velocity", "effort"):
+            if stated.get(name, 0.0) < 0.0:
+                del stated[name]  # -1 means that there is no limit
+        losses = _values(axis_element.find("dynamics") if axis_element is not None else None)
         return UrdfElements(element).joint(
             self.name(element),
             element.attributes.get("type", ""),
@@ -155,6 +171,7 @@ class _Model:
             X_MC.inverse().rotate(X_MA.rotate(axis)),
             stated,
             limit,
+            {name: losses[name] for name in ("damping", "friction") if name in losses},
         )
 
 
