@@ -250,7 +250,7 @@ def test_fleets_by_robot(thorvaldc: Command) -> None:
 COPY = (
     ("name: good", "name: second\nnamespace: second\ndriver: {rate: 25 Hz}"),
     ("width: 0.9 m", "width: 1 m, cross_members: [-0.2, 20 cm]"),
-    ("length: 1.1 m", "length: 110 cm"),
+    ("length: 1.1 m", "length: 1.1"),
     (", can: 1}\n  fr", ", can: {id: 9}}\n  fr"),
     ("steered_drive, mount: frame.rear_left, can: 3", "fixed_drive, mount: frame.rear_left"),
     (

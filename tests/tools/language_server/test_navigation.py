@@ -292,3 +292,6 @@ async def test_rename_of_a_module_that_a_unit_adds(editor: Editor) -> None:
         await renamed(editor, place, "imu")
     editor.open("design.yaml")
     assert await renamed(editor, place, "imu") == {"unit.yaml": UNIT.replace("box", "imu")}
+    parameter = editor.mark("unit.yaml", UNIT.replace("gear_ratio", "gear|_ratio"))
+    with pytest.raises(JsonRpcException, match="only modules of a robot or assembly"):
+        await renamed(editor, parameter, "ratio")

@@ -137,11 +137,14 @@ def _values(keys: _Path, node: Node, target: Node | None) -> Iterator[_Value]:
 
 
 def is_same_value(first: Node, second: Node) -> bool:
-    """Returns whether two values are equal, also if they have other units."""
+    """Returns whether two values are equal, also in other units; a number without one is in SI."""
     if isinstance(first.value, tuple) and isinstance(second.value, tuple):
         is_as_long = len(first.value) == len(second.value)
         return is_as_long and all(map(is_same_value, first.value, second.value))
     try:
-        return parse_with_dimension(str(first.value)) == parse_with_dimension(str(second.value))
+        (value, unit), (other, of_other) = (
+            parse_with_dimension(str(node.value)) for node in (first, second)
+        )
+        return value == other and (unit == of_other or None in (unit, of_other))
     except UnitError:
         return repr(first.plain()) == repr(second.plain())
