@@ -99,11 +99,11 @@ RUN = "--bus virtual --fast --duration 0.1"
 @functools.cache
 def kinds() -> tuple[Kind, ...]:
     """Returns all kinds of files."""
-    from tests.fuzz.imported_files import imported_kinds  # which need `Kind`
+    from tests.fuzz.imported_files import imported_kinds, named_kinds  # which need `Kind`
     from tests.fuzz.library_archives import library_kinds
 
     known = (*_documents(), *_bus_files(), *_logs(), *_shapes(), *_others())
-    return (*known, *imported_kinds(), *_audited(), *library_kinds())
+    return (*known, *imported_kinds(), *named_kinds(), *_audited(), *library_kinds())
 
 
 def _read(path: str) -> bytes:

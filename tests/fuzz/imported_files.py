@@ -1,9 +1,19 @@
-"""Files of others that `import` and `modules from-...` read."""
+"""Files of others that commands make robots of, or that robots, modules and scenarios name."""
 
 from __future__ import annotations
 
-from tests.fuzz.generator import ROOT, TEXT, XML, YAML, Kind
-from tests.fuzz.products import meshes
+import io
+import tempfile
+from contextlib import chdir
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, TiffImagePlugin
+
+from tests.cli.conftest import GOOD
+from tests.fuzz.generator import BYTES, ROOT, TEXT, XML, YAML, Kind
+from tests.fuzz.products import meshes, png_bomb, run_quietly
+from thorvaldc.model.stl import binary_stl
 
 TOOLS = ROOT / "tests/tools"
 _BODY = """
@@ -100,3 +110,104 @@ def imported_kinds() -> list[Kind]:
             writes=("out",),
         ),
     ]
+
+
+GROUND = """\
+thorvaldc: 1
+scenario: trial
+robots: {cart: {robot: robot.yaml}}
+duration: 0.1 s
+world: {ground: {type: map, file: FILE}}
+"""
+STATED = ", size: [4 m, 3 m], height: 0.2 m}}"
+MJCF = b"""\
+<mujoco model="cart"><compiler angle="radian" autolimits="true"/>
+  <default><joint damping="0.1"/><default class="wheel"><geom type="cylinder" size="0.1 0.02"/>
+    </default></default>
+  <asset><mesh name="hood" file="mesh.stl" scale="0.1 0.1 0.1"/><material name="m" rgba="1 0 0 1"/>
+    <hfield name="h" nrow="2" ncol="2" size="1 1 0.1 0.1"/></asset>
+  <worldbody><geom type="plane" size="1 1 0.1"/><body name="base" pos="0 0 0.1"><freejoint/>
+    <geom type="mesh" mesh="hood" mass="1"/><inertial pos="0 0 0" mass="8" diaginertia="1 1 1"/>
+    <body name="left" pos="0 0.2 0" euler="-1.57 0 0"><joint name="left_spin" axis="0 0 1"/>
+      <geom class="wheel" material="m"/><site name="s"/></body>
+    <body name="right" pos="0 -0.2 0" quat="0.7 -0.7 0 0"><joint name="right_spin" range="-1 1"
+      axis="0 0 1"/><geom class="wheel"/><camera name="c" fovy="60"/></body></body></worldbody>
+  <actuator><velocity name="l" joint="left_spin" kv="5" ctrlrange="-1 1"/>
+    <motor name="r" joint="right_spin" gear="2"/></actuator>
+  <equality><joint joint1="left_spin" joint2="right_spin" polycoef="0 1 0 0 0"/></equality>
+  <sensor><gyro name="g" site="s"/></sensor><keyframe><key qpos="0 0 0 1 0 0 0 0 0"/></keyframe>
+</mujoco>
+"""
+
+
+def named_kinds() -> list[Kind]:
+    """Returns files of others that robots, modules and scenarios name, and MJCF to be audited."""
+    arm = TOOLS / "audit/robots/grinding_arm"
+    arm_files = {path.name: path.read_bytes() for path in arm.glob("*.xml")}
+    other = {"cart.urdf": CART.encode(), "mesh.stl": meshes()["stl"]}  # the folder is not empty
+    cart = {"cart.xml": MJCF, **other}
+    devices = [_module_with_eds(name) for name in ("io", "drive")]
+    return [
+        Kind(
+            "height map",
+            ("check scenario.yaml", "scenario scenario.yaml"),
+            [(name, _ground(name, data)) for name, data in _maps().items()],
+            (*BYTES, *TEXT),
+        ),
+        Kind(
+            "EDS of a module",
+            (
+                *("check robot.yaml", "modules check lib", "build robot.yaml -t can -o out"),
+                *("can scan robot.yaml --bus virtual", "can verify robot.yaml --bus virtual"),
+            ),
+            devices,
+            TEXT,
+            writes=("out", "robot.lock.yaml"),
+        ),
+        Kind(
+            "audited MJCF",
+            ("audit .",),
+            [("cart.xml", cart), *((name, {**arm_files, **other}) for name in arm_files)],
+            XML,
+        ),
+    ]
+
+
+def _maps() -> dict[str, bytes]:
+    """Returns height maps of each format, and one that expands to gigabytes."""
+    pixels = np.add.outer(np.arange(9), np.arange(12)) * 10.0
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    for tag, value in {33550: (2.0, 3.0, 0.0), 42113: "-9999"}.items():
+        tags[tag], tags.tagtype[tag] = value, 2 if isinstance(value, str) else 12
+    grey, deep, tiff, packed = (io.BytesIO() for _ in range(4))
+    Image.fromarray(pixels.astype(np.uint8)).save(grey, "PNG")
+    Image.fromarray((pixels * 200).astype(np.uint16)).save(deep, "PNG")
+    Image.fromarray(pixels.astype(np.float32) / 1000).save(tiff, "TIFF", tiffinfo=tags)
+    Image.fromarray(pixels.astype(np.float32) / 1000).save(
+        packed, "TIFF", tiffinfo=tags, compression="tiff_adobe_deflate"
+    )
+    images = {"grey.png": grey, "deep.png": deep, "field.tif": tiff, "packed.tif": packed}
+    return {
+        **{name: image.getvalue() for name, image in images.items()},
+        "bomb.png": png_bomb(),
+        "field.stl": binary_stl(
+            [((0, 0, 0), (9, 0, 0.1), (9, 9, 0)), ((0, 0, 0), (9, 9, 0), (0, 9, 0))]
+        ),
+    }
+
+
+def _ground(name: str, data: bytes) -> dict[str, bytes]:
+    text = GROUND.replace("FILE}}", name + (STATED if name.endswith(".png") else "}}"))
+    return {"robot.yaml": GOOD.encode(), "scenario.yaml": text.encode(), name: data}
+
+
+def _module_with_eds(name: str) -> tuple[str, dict[str, bytes]]:
+    """Returns a robot with the module of an EDS file, which is the file to change."""
+    robot = f"{GOOD}  part: {{type: my/{name}, can: 9}}\nlibrary: [lib]\n"
+    if name == "drive":
+        robot = robot.replace("can: 9", "can: 9, params: {velocity_unit: 1 rpm}")
+    with tempfile.TemporaryDirectory(prefix="thorvaldc_fuzz_") as folder, chdir(folder):
+        eds = TOOLS / f"device_files/{name}.eds"
+        run_quietly("modules", "from-eds", f"my/{name}", str(eds), "--library", "lib")
+        made = {path.as_posix(): path.read_bytes() for path in Path("lib").rglob("*.*")}
+    return f"lib/my/{name}/{name}.eds", {"robot.yaml": robot.encode(), **made}

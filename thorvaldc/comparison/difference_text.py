@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from thorvaldc.comparison import robot_difference
 from thorvaldc.comparison.robot_difference import ABSENT, Difference, FleetDifference, ValueChange
+from thorvaldc.compiler.source.node import yaml_text
 from thorvaldc.diagnostics.text_layout import (
     markdown_table,
     markdown_text,
@@ -18,6 +19,9 @@ from thorvaldc.diagnostics.text_layout import (
 
 LONGEST_TEXT = 48
 MOST_SUBJECTS = 6
+
+
+_ENTRIES = "robot file"
 
 
 class Row(NamedTuple):
@@ -52,6 +56,8 @@ def sections_of(difference: Difference, *, everything: bool = False) -> Iterator
             for section in sections_of(robot, everything=everything):
                 yield Section(f"{name}: {section.title}", section.rows)
         return
+    if difference.entries:
+        yield Section(_ENTRIES, [_entry_row(leaf) for leaf in difference.entries])
     rows = [*_module_rows(difference.modules)]
     if rows:
         yield Section("modules", rows)
@@ -144,6 +150,13 @@ def _value_row(change: ValueChange) -> Row:
 def _leaf_row(leaf: robot_difference.LeafDifference) -> Row:
     change = ValueChange("", (), "", leaf.before, leaf.after)
     return Row(_MARKS[change.kind], leaf.text_path, change_text(change))
+
+
+def _entry_row(leaf: robot_difference.LeafDifference) -> Row:
+    """Returns a row with whole values as in YAML, which a unit or ``--set`` can have."""
+    values = [yaml_text(v) for v in (leaf.before, leaf.after) if v is not ABSENT]
+    mark = _MARKS[ValueChange("", (), "", leaf.before, leaf.after).kind]
+    return Row(mark, leaf.text_path, " -> ".join(values))
 
 
 def joined(names: Iterable[str]) -> str:
@@ -249,6 +262,8 @@ def difference_text(difference: Difference, width: int = 80, *, everything: bool
 
 def _section_lines(section: Section, width: int) -> Iterator[str]:
     rows = [(f"  {row.mark} {row.name}", row.text) for row in section.rows]
+    if section.title.endswith(_ENTRIES):  # each in one line, to be copied
+        return iter(f"{name}: {text}" for name, text in rows)
     return text_list(rows, width, _LEAST_NAME, _MOST_NAME)
 
 
@@ -309,12 +324,11 @@ def difference_document(difference: Difference) -> dict[str, Any]:
         "after": difference.after,
     }
     if isinstance(difference, robot_difference.RobotDifference):
+        document["robot_file"] = [_leaf_document(leaf) for leaf in difference.entries]
         document["modules"] = [_module_document(change) for change in difference.modules]
         document["module_types"] = [_change_document(change) for change in difference.types]
     document["changes"] = [_change_document(change) for change in difference.values]
-    document["values_of_model"] = [
-        {"path": leaf.text_path, **_sides(leaf.before, leaf.after)} for leaf in difference.leaves
-    ]
+    document["values_of_model"] = [_leaf_document(leaf) for leaf in difference.leaves]
     if isinstance(difference, FleetDifference):
         document["robots"] = {name: difference_document(robot) for name, robot in difference.robots}
     return document
@@ -323,6 +337,10 @@ def difference_document(difference: Difference) -> dict[str, Any]:
 def _module_document(change: robot_difference.ModuleChange) -> dict[str, Any]:
     parameters = [_change_document(parameter) for parameter in change.parameters]
     return {**vars(change), "kinds": list(change.kinds), "parameters": parameters}
+
+
+def _leaf_document(leaf: robot_difference.LeafDifference) -> dict[str, Any]:
+    return {"path": leaf.text_path, **_sides(leaf.before, leaf.after)}
 
 
 def _change_document(change: ValueChange) -> dict[str, Any]:

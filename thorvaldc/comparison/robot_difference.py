@@ -223,6 +223,7 @@ class RobotDifference(HtmlView):
         changes; a change without an effect, such as that of a description, is no difference.
     leaves : every value of the model that differs.  Each of them is in ``values``, in ``derived``,
         or belongs to an element of a module in ``modules``.
+    entries : entries of the robot files that differ, with the paths of units and of ``--set``.
     """
 
     html_view = "thorvaldc.comparison.difference_text:difference_html"
@@ -234,6 +235,7 @@ class RobotDifference(HtmlView):
     derived: tuple[LeafDifference, ...]
     types: tuple[ValueChange, ...]
     leaves: tuple[LeafDifference, ...]
+    entries: tuple[LeafDifference, ...] = ()
 
     @property
     def is_equal(self) -> bool:

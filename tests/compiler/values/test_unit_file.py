@@ -130,6 +130,10 @@ def test_a_unit_may_be_the_design_of_another() -> None:
         ("modules..can: 3\n", ["units/second.yaml:4 unknown-key"]),
         ("batteries: parallel\n", ["units/second.yaml:4 unit-unchanged"]),
         ("modules: {frame: {}, fl: {can: 3}}\n", ["units/second.yaml:4 unit-unchanged"]),
+        (
+            "modules.battery_left.mount.xyz: [0, 0.636, 7 cm]\n",
+            ["units/second.yaml:4 unit-unchanged"],
+        ),
         ("modules.fl.can: 2\n", ["units/second.yaml:4 can-id-duplicate"]),
         ("modules:\n  battery_left: null\n", ["design/robot.yaml:18 module-unknown"]),
     ],

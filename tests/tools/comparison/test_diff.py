@@ -10,6 +10,8 @@ import pytest
 from tests.cli.conftest import GOOD, Command
 from tests.outside_tools import require
 from tests.repository import commit_all
+from thorvaldc.comparison.robot_comparison import compare_robots
+from thorvaldc.compiler.pipeline import load
 
 MODULE = """\
 thorvaldc: 1
@@ -243,3 +245,52 @@ def test_fleets_by_robot(thorvaldc: Command) -> None:
     assert "width 0.9 m -> 1.2 m" in out
     assert "b: " not in out
     assert "(0, 3, 0) m -> (0, 4, 0) m" in out
+
+
+COPY = (
+    ("name: good", "name: second\nnamespace: second\ndriver: {rate: 25 Hz}"),
+    ("width: 0.9 m", "width: 1 m, cross_members: [-0.2, 20 cm]"),
+    ("length: 1.1 m", "length: 1.1"),
+    (", can: 1}\n  fr", ", can: {id: 9}}\n  fr"),
+    ("steered_drive, mount: frame.rear_left, can: 3", "fixed_drive, mount: frame.rear_left"),
+    (
+        "battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0.397, 0.07]}, can: 1}",
+        "imu: {type: sensor/imu, mount: {parent: frame, xyz: [0, 0, 0.1]}}",
+    ),
+)
+PATHS = """name namespace driver modules.frame.params.width modules.frame.params.cross_members
+modules.fl.can.id modules.rl.type modules.rl.can modules.battery modules.imu"""
+
+
+@pytest.mark.parametrize("is_back", [False, True])
+def test_the_paths_of_a_copy_are_those_of_a_unit_and_of_set(
+    thorvaldc: Command, is_back: bool
+) -> None:
+    """A copy of a design becomes a unit: what differs is pasted as it is printed."""
+    design, copy = "good.yaml", written("copy.yaml", *COPY)
+    if is_back:
+        design, copy = copy, design
+    document = json.loads(thorvaldc("diff", design, copy, "--json").out)
+    values = {change["path"]: change.get("after") for change in document["robot_file"]}
+    assert set(values) == set(PATHS.split())
+    unit = f"thorvaldc: 1\nextends: {design}\n"
+    rows = thorvaldc("diff", design, copy).out.partition("robot file\n")[2].partition("\n\n")[0]
+    for row in rows.splitlines():
+        mark, path, value = row.split(maxsplit=2)
+        unit += f"{path} {'null' if mark == '-' else value.rpartition('-> ')[2]}\n"
+    Path("unit.yaml").write_text(unit, encoding="utf-8")
+    result = thorvaldc("diff", "unit.yaml", copy)
+    assert result[:2] == (0, f"{document['after']}: no differences\n"), result
+    changed = load(design, set=values)
+    assert not compare_robots(changed, load(copy)).leaves
+
+
+def test_entries_of_robot_files_in_a_fleet_and_none_of_a_build(thorvaldc: Command) -> None:
+    thorvaldc("build", "good.yaml", "-o", "out", "--target", "urdf")
+    other = written("other.yaml", ("width: 0.9 m", "width: 1 m"))
+    assert "robot file" not in thorvaldc("diff", "out", other).out
+    fleet = "thorvaldc: 1\nname: one\nrobots: {a: {robot: good.yaml}}\n"
+    for name, text in (("b.yaml", fleet), ("c.yaml", fleet.replace("good.", "other."))):
+        Path(name).write_text(text, encoding="utf-8")
+    out = thorvaldc("diff", "b.yaml", "c.yaml").out
+    assert "a: robot file\n  ~ modules.frame.params.width: 0.9 m -> 1 m\n" in out

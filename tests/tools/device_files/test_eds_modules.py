@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -82,6 +83,81 @@ def test_an_io_device_has_the_pdos_and_the_identity_of_its_file(thorvaldc: Comma
         "0x1401": "it is not used (bit 31 of its COB-ID, 0x1401:1)",
         "0x1802": "0x2000:0 has 32 bits and a type that a module does not have",
     }
+
+
+def battery_eds(profile: int) -> str:
+    """The file of a battery of CiA 418, or charger of CiA 419, with two reports."""
+    objects = {0x6010: 3, 0x6051: 6, 0x6060: 7, 0x6070: 6, 0x6081: 5}  # index and data type
+    lengths = {3: 16, 5: 8, 6: 16, 7: 32}
+    values = {(0x1000, 0): profile, (0x1001, 0): 0, (0x1017, 0): 500}
+    for number, mapped in enumerate(([0x6060, 0x6010, 0x6081], [0x6051, 0x6070])):
+        values[0x1800 + number, 0] = 5
+        values[0x1800 + number, 1] = 0x185 + 0x100 * number
+        values[0x1800 + number, 5] = 100
+        values[0x1A00 + number, 0] = len(mapped)
+        for place, index in enumerate(mapped, 1):
+            values[0x1A00 + number, place] = index << 16 | lengths[objects[index]]
+    lines = ["[DeviceComissioning]", "NodeID=5"]
+    for (index, subindex), value in values.items():
+        name = f"{index:X}sub{subindex:X}" if index & 0xFFF0 in (0x1800, 0x1A00) else f"{index:X}"
+        if subindex == 0 and "sub" in name:
+            lines += [f"[{index:X}]", "ParameterName=PDO", "ObjectType=9"]
+        lines += [f"[{name}]", "ParameterName=Entry", "ObjectType=7", "DataType=7"]
+        lines += ["AccessType=rw", f"DefaultValue={value}"]
+    for index, kind in objects.items():
+        lines += [f"[{index:X}]", f"ParameterName=Object {index:X}", f"DataType={kind}"]
+        lines += ["ObjectType=7", "AccessType=ro", "PDOMapping=1"]
+    return "\n".join(lines) + "\n"
+
+
+def test_a_battery_and_its_charger_have_the_units_of_their_profiles(thorvaldc: Command) -> None:
+    text, messages = import_device(thorvaldc, "battery/mine", battery_eds(418))
+    assert "left out" not in messages
+    values = {
+        signal.name: (signal.unit, signal.scale * raw)
+        for frame in bus_of(text).frames
+        for signal, raw in zip(frame.signals, (48 * 1024, 200, 75), strict=False)
+        if frame.name in ("d1_tpdo1", "d1_tpdo2")
+    }
+    assert values["voltage"] == ("V", 48.0)
+    assert values["temperature"] == ("degC", 25.0)
+    assert values["state_of_charge"] == ("%", 75.0)
+    assert values["object_6070"] == ("A", 12.5)
+    assert values["object_6051"] == ("Ah", 6144.0)
+    assert "battery: {present: true, link: housing}" in text
+    assert "# CiA 418 has no current of the battery" in text
+    text, _ = import_device(thorvaldc, "charger/mine", battery_eds(419))
+    units = {s.name: s.unit for f in bus_of(text).frames for s in f.signals}
+    assert (units["object_6060"], units["object_6081"]) == ("V", "%")
+    assert "battery:" not in text
+
+
+def test_analogue_values_of_cia_401_have_no_unit_that_the_file_knows(thorvaldc: Command) -> None:
+    text, _ = import_device(thorvaldc, "io/mine", IO)
+    assert "# CiA 401 gives analogue values no unit: state `unit` and `scale`" in text
+    assert {s.unit for f in bus_of(text).frames for s in f.signals} == {""}
+    text, _ = import_device(thorvaldc, "io/other", battery_eds(401))
+    assert "CiA 401 gives" not in text
+
+
+def test_a_robot_with_devices_of_their_eds_is_scanned(thorvaldc: Command) -> None:
+    """New devices have the identity of their file, and need ids; flashed ones have those."""
+    import_device(thorvaldc, "controller/mine", DRIVE)
+    import_device(thorvaldc, "io/mine", IO)
+    Path("robot.yaml").write_text(ROBOT, encoding="utf-8")
+    flash = "can flash robot.yaml --bus virtual:delivered --store store.json --apply --yes"
+    scan = "can scan robot.yaml --bus virtual"
+    delivered = json.loads(thorvaldc(*f"{scan}:delivered --json".split()).out)
+    verdicts = {node["node"]: node["verdict"] for node in delivered["nodes"]}
+    assert verdicts == {"one": "missing", "two": "missing", "io": "ok", "battery": "ok"}
+    assert thorvaldc(*flash.split()).status == 0
+    flashed = thorvaldc(*f"{scan} --store store.json --active --json".split())
+    assert flashed.status == 0, flashed.err
+    nodes = {node["node"]: node for node in json.loads(flashed.out)["nodes"]}
+    assert {node["verdict"] for node in nodes.values()} == {"ok"}
+    for name, device_type in (("one", 0x20192), ("io", 0x30191)):
+        assert nodes[name]["identity"][:3] == [0x123, 0x45, 0x10002]
+        assert nodes[name]["device_type"] == device_type
 
 
 def test_a_robot_of_three_brands_is_flashed_and_drives(thorvaldc: Command) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from lsprotocol import types
 from pygls.exceptions import JsonRpcException
@@ -219,3 +221,77 @@ async def test_names_of_a_unit_lead_to_its_design(editor: Editor) -> None:
     ):
         shown = await editor.hover("unit.yaml", head + text)
         assert "**length** of `frame/tube_rectangular`" in shown
+
+
+UNIT = """\
+thorvaldc: 1
+extends: design.yaml
+name: second
+modules.fl.params.gear_ratio: 43:1
+modules:
+  fl: {can: 9}
+  box: {type: sensor/imu, mount: {parent: fl, xyz: [0, 0, 0.1]}}
+"""
+REMOVER = "thorvaldc: 1\nextends: unit.yaml\nname: third\n'modules.fl': null\n"
+
+
+async def renamed(editor: Editor, place: tuple[str, types.Position], name: str) -> dict[str, str]:
+    """The texts after renaming, by the names of the files."""
+    answer = await editor.client.text_document_rename_async(
+        editor.at(types.RenameParams, place, new_name=name)
+    )
+    changes = (answer.changes if answer is not None else None) or {}
+    return {
+        str(path.relative_to(editor.folder)): edited(path.read_text(encoding="utf-8"), list(edits))
+        for path, edits in ((Path(uri.removeprefix("file://")), e) for uri, e in changes.items())
+    }
+
+
+async def test_rename_of_a_module_of_a_design_and_its_units(editor: Editor) -> None:
+    """From any of the files; a unit of another design keeps its names."""
+    of_unit = CALIBRATION.replace("robot: cart", "robot: second")
+    others = UNIT.replace("design", "other")
+    both = SCENARIO.replace("robot.yaml}", "design.yaml}, b: {robot: unit.yaml}")
+    files = {
+        "design.yaml": ROBOT,
+        "unit.yaml": UNIT,
+        "third.yaml": REMOVER,
+        "of_unit.yaml": of_unit,
+    }
+    files |= {"both.yaml": both, "other.yaml": ROBOT, "of_other.yaml": others}
+    for name, text in files.items():
+        editor.write(name, text)
+        editor.open(name)
+    expected = {
+        "design.yaml": ROBOT.replace("  fl:", "  left:"),
+        "unit.yaml": UNIT.replace("fl", "left"),
+        "third.yaml": REMOVER.replace("fl", "left"),
+        "of_unit.yaml": of_unit.replace("{fl_", "{left_").replace("fl_2", "left_2"),
+        "both.yaml": both.replace("fl_", "left_"),
+    }
+    for name, place in (
+        ("design.yaml", "\n  f|l:"),
+        ("unit.yaml", "\n  f|l:"),
+        ("unit.yaml", "parent: f|l"),
+        ("unit.yaml", "modules.f|l.params"),
+        ("third.yaml", "modules.f|l"),
+    ):
+        marked = files[name].replace(place.replace("|", ""), place, 1)
+        position = editor.mark(name, marked)
+        assert await renamed(editor, position, "left") == expected, place
+        for taken in ("fr", "box"):
+            with pytest.raises(JsonRpcException, match=rf"already a module `{taken}`"):
+                await renamed(editor, position, taken)
+
+
+async def test_rename_of_a_module_that_a_unit_adds(editor: Editor) -> None:
+    editor.write("design.yaml", ROBOT)
+    editor.write("unit.yaml", UNIT)
+    place = editor.mark("unit.yaml", UNIT.replace("  box", "  bo|x"))
+    with pytest.raises(JsonRpcException, match=r"design\.yaml is in no folder of the workspace"):
+        await renamed(editor, place, "imu")
+    editor.open("design.yaml")
+    assert await renamed(editor, place, "imu") == {"unit.yaml": UNIT.replace("box", "imu")}
+    parameter = editor.mark("unit.yaml", UNIT.replace("gear_ratio", "gear|_ratio"))
+    with pytest.raises(JsonRpcException, match="only modules of a robot or assembly"):
+        await renamed(editor, parameter, "ratio")

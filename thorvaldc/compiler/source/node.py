@@ -216,7 +216,9 @@ def is_plain_text(text: str) -> bool:
     """Returns whether every YAML reader reads an unquoted scalar as text."""
     if text in _WORDS or text in _AMBIGUOUS:
         return False
-    return not (_INTEGER.fullmatch(text) or _FLOAT.fullmatch(text) or text.startswith("0"))
+    if _INTEGER.fullmatch(text) or _FLOAT.fullmatch(text):
+        return False
+    return not text.startswith("0") or " " in text  # `0x1f`, `010` and `0:30`, but not `0.9 m`
 
 
 def key_kind(text: str) -> str | None:

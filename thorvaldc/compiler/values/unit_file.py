@@ -90,7 +90,7 @@ def _merged(design: Node, unit: Node, report: Report) -> Node:
                 hint = "write `null` if the unit lacks it; else write its value"
                 report.add("wrong-type", f"`{name}` has no value", where, hint=hint)
                 continue
-            if target is not None and _is_same(node, target):
+            if target is not None and is_same_value(node, target):
                 message = f"`{name}` is {describe_node(node)} in the design, too"
                 hint = _WHY_NAMES if name == _NAME else "remove it"
                 report.add("unit-unchanged", message, where, hint=hint)
@@ -136,8 +136,15 @@ def _values(keys: _Path, node: Node, target: Node | None) -> Iterator[_Value]:
     yield keys, node, target
 
 
-def _is_same(first: Node, second: Node) -> bool:
+def is_same_value(first: Node, second: Node) -> bool:
+    """Returns whether two values are equal, also in other units; a number without one is in SI."""
+    if isinstance(first.value, tuple) and isinstance(second.value, tuple):
+        is_as_long = len(first.value) == len(second.value)
+        return is_as_long and all(map(is_same_value, first.value, second.value))
     try:
-        return parse_with_dimension(str(first.value)) == parse_with_dimension(str(second.value))
+        (value, unit), (other, of_other) = (
+            parse_with_dimension(str(node.value)) for node in (first, second)
+        )
+        return value == other and (unit == of_other or None in (unit, of_other))
     except UnitError:
         return repr(first.plain()) == repr(second.plain())

@@ -48,12 +48,13 @@ def diff(
     from thorvaldc.diagnostics.files import write_file
     from thorvaldc.model import Fleet
     from thorvaldc.tools.comparison import compared_inputs, comparison_output
+    from thorvaldc.tools.comparison.robot_file_entries import with_entries
 
     diagnostic_output.check_format(format, FORMATS)
     if html:
         check_output(html, ["html", "htm"], "--html")
     folders = options.library_folders(library)
-    models, outlines = [], []
+    compilations = []
     with ExitStack() as temporary:
         for name in (before, after):
             compared = compared_inputs.read_input(name, temporary, folders, trust=trust)
@@ -63,15 +64,16 @@ def diff(
                 if hint is not None:
                     diagnostic_output.message(f"hint: {hint}")
                 return status or INPUT
-            models.append(compared.model)
-            outlines.append(outlines_of(compared))
-    difference = compare_models(models[0], models[1], outlines)
+            compilations.append(compared)
+    models = [compilation.model for compilation in compilations if compilation.model is not None]
+    difference = compare_models(models[0], models[1], [outlines_of(c) for c in compilations])
     if difference is None:
         kinds = [
             f"{name} is a {'fleet' if isinstance(model, Fleet) else 'robot'}"
             for name, model in zip((before, after), models, strict=True)
         ]
         raise typer.BadParameter(" and ".join(kinds), param_hint="'A' / 'B'")
+    difference = with_entries(difference, *compilations)
     if html:
         write_file(Path(html), comparison_output.difference_page(difference, *models))
         diagnostic_output.message(html)

@@ -230,9 +230,7 @@ def _bind(device: DeviceModule) -> None:
     category = device.type.partition("/")[0]
     reports = [frame for frame in device.frames if frame.keys["direction"] == "report"]
     if category == "battery":
-        device.sections["battery"] = "{present: true, link: housing}"
-        nominal = "`battery: {properties: {voltage: 48 V, capacity: 70 Ah}}`"
-        device.comments.append(f"State what the file cannot know, as in {nominal}.")
+        device.add_battery()
         for known in _BATTERY:
             _bind_one(device, reports, known, _NOT_BATTERY, _in_unit)
     elif category == "controller":

@@ -67,6 +67,12 @@ class DeviceModule:
     comments: list[str] = field(default_factory=list)
     files: dict[str, bytes] = field(default_factory=dict)
 
+    def add_battery(self) -> None:
+        """Adds the section ``battery``, and what a person must state there."""
+        self.sections["battery"] = "{present: true, link: housing}"
+        nominal = "`battery: {properties: {voltage: 48 V, capacity: 70 Ah}}`"
+        self.comments.append(f"State what the file cannot know, as in {nominal}.")
+
     def usage(self) -> str:
         """Returns the lines of a robot file that use the module.
 

@@ -2,6 +2,7 @@
 
 ``device_file`` reads the file.  A drive of CiA 402 gets the PDOs that the
 driver ``cia402`` needs, if its objects can be mapped; every other device has the PDOs of its file.
+The objects of batteries and chargers have the units and names of CiA 418 and 419.
 Each value names its object in a comment.  Begin with ``module_from_eds``.
 """
 
@@ -40,7 +41,27 @@ _UNITS = {
     (402, 0x6077): ("%", "0.1"),
     (402, 0x6078): ("%", "0.1"),
     (402, 0x6079): ("V", "0.001"),
+    # CiA 418 and 419, as the driver `canopen_inventus` of Clearpath Robotics reads voltage and
+    # temperature: 1/1024 V, 1/8 degC, 1/8 Ah, 1/16 A and percent.
+    **{
+        (profile, index): unit
+        for profile in (418, 419)
+        for index, unit in {
+            0x6010: ("degC", "0.125"),
+            0x6050: ("Ah", "1"),
+            0x6051: ("Ah", "0.125"),
+            0x6052: ("Ah", "0.125"),
+            0x6060: ("V", "0.0009765625"),
+            0x6070: ("A", "0.0625"),
+            0x6080: ("%", "1"),
+            0x6081: ("%", "1"),
+        }.items()
+    },
 }
+_BATTERY_NAMES = {0x6010: "temperature", 0x6060: "voltage", 0x6081: "state_of_charge"}
+"""Names by which drivers of batteries read the objects of CiA 418."""
+_RAW = {0x6400, 0x6401, 0x6402, 0x6410, 0x6411, 0x6412}
+"""Analogue inputs and outputs of CiA 401, in counts of the converter of the device."""
 
 
 def module_from_eds(path: Path, type_name: str, report: Report) -> DeviceModule | None:
@@ -69,6 +90,7 @@ def module_from_eds(path: Path, type_name: str, report: Report) -> DeviceModule 
     if not (is_drive and _add_drive(device, dictionary)):
         device.frames = [*_frames(dictionary, report)]
         without_refused(device, report)
+        _add_profile(device, dictionary)
     if not device.frames:
         text = f"`{file}` has no PDO that a module can have"
         report.add("import-missing", text, Span(file), hint="its PDOs must be valid and mapped")
@@ -226,9 +248,29 @@ def _signal(
         keys |= {"minimum": f"{low[0] * step:.15g}", "maximum": f"{high[0] * step:.15g}"}
     keys["description"] = quoted(f"{entry.shown}, {name}.")
     short = fields["name"] if len(fields["name"]) > 8 or not fields["parent"] else name
+    if dictionary.profile == 418:
+        short = _BATTERY_NAMES.get(entry.index, short)
     return ModuleSignal(
         names.make(short, "object"), keys, dictionary.span(entry.index, entry.subindex)
     )
+
+
+def _add_profile(device: DeviceModule, dictionary: Dictionary) -> None:
+    """Adds what a person must state of an IO device or battery, and the section ``battery``."""
+    mapped = {
+        entry.index
+        for base in (0x1600, 0x1A00)
+        for index in range(base, base + _PDOS)
+        for entry, _ in _mapped(dictionary, index)
+    }
+    if dictionary.profile == 401 and _RAW & mapped:
+        text = "CiA 401 gives analogue values no unit: state `unit` and `scale`, from the manual."
+        device.comments.append(text)
+    if dictionary.profile == 418:
+        text = "CiA 418 has no current of the battery: 0x6070 is what it requests of its charger."
+        device.comments.append(text)
+        if device.type.startswith("battery/"):
+            device.add_battery()
 
 
 # -- drives of CiA 402 ---------------------------------------------------------------------

@@ -122,15 +122,26 @@ def _module(
     return (view, *module) if module is not None else None
 
 
+@dataclass(frozen=True)
+class _Uses:
+    """Uses of a module, the robot documents that have it, and a design that is out of reach."""
+
+    uses: list[module_references.Use]
+    robots: module_references.Robots
+    outside: Path | None
+
+
 def _uses(
     document: open_document.OpenDocument, position: types.Position, session: Session
-) -> tuple[ModuleView, list[module_references.Use]] | None:
+) -> _Uses | None:
     module = _module(document, position, session)
-    if module is None or module[0].tree.get("modules") is None:
+    if module is None or module[0].document.get("modules") is None:
         return None
     view, name, _ = module
     others = open_document.workspace_documents(session.workspace, session.texts, session.uris)
-    return view, module_references.uses_of(view, document, name, others)
+    known = list(others)
+    robots, outside = module_references.robots_of(view, document, name, known)
+    return _Uses(module_references.uses_of(robots, name, known), robots, outside)
 
 
 def references(
@@ -139,7 +150,7 @@ def references(
     answer = _uses(document, params.position, session)
     return [
         types.Location(use.document.uri, use.document.source.range(use.span))
-        for use in (answer[1] if answer is not None else [])
+        for use in (answer.uses if answer is not None else [])
         if params.context.include_declaration or not use.is_definition
     ]
 
@@ -163,14 +174,16 @@ def rename(
     answer = _uses(document, params.position, session)
     if answer is None:
         raise RenameError("only modules of a robot or assembly can be renamed")
-    view, uses = answer
+    if answer.outside is not None:
+        raise RenameError(f"the design {answer.outside} is in no folder of the workspace")
     name = params.new_name
     if module_references.NAME.fullmatch(name) is None:
         raise RenameError(f"`{name}` is no name: small letters, digits and `_`, a letter first")
-    if name in entries(view.tree.get("modules")):
-        raise RenameError(f"there is already a module `{name}`")
+    for view, robot in answer.robots:
+        if name in entries(view.document.get("modules")):
+            raise RenameError(f"there is already a module `{name}` in {robot.path.name}")
     changes: dict[str, list[types.TextEdit]] = {}
-    for use in uses:
+    for use in answer.uses:
         edit = types.TextEdit(use.document.source.range(use.span), name)
         changes.setdefault(use.document.uri, []).append(edit)
     return types.WorkspaceEdit(changes)

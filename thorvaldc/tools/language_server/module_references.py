@@ -1,15 +1,15 @@
 """All references to a module of a robot, for the search of references and for renaming.
 
-A robot document refers to a module by its name.  Scenarios, calibration files and files with bus
-faults refer to the wheels and devices of a module: their names begin with the name of the module,
-such as ``fl_wheel``.  A lock file contains the paths of modules.
+A robot document refers to a module by its name, and so do the units that extend it.  Scenarios,
+calibration files and files with bus faults refer to the wheels and devices of a module: their names
+begin with the name of the module, such as ``fl_wheel``.  A lock file contains the paths of modules.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -147,28 +147,98 @@ def module_at(view: ModuleView, line: int, column: int) -> tuple[str, Span] | No
     if place is None:
         return None
     if place.part == "key":
-        is_module = len(place.path) == 2 and place.path[0] == "modules"
-        return (str(place.path[1]), place.span) if is_module else None
+        keys = ((n, s) for n, s in _keys(view) if s.line == line and column >= s.column)
+        return next(((n, s) for n, s in keys if column <= s.end_column), None)
     reference = reference_at(view, place, column)
     if reference is None or reference.kind != "module" or "." in reference.whole:
         return None
     return reference.name, reference.span
 
 
-def uses_of(
+def _keys(view: ModuleView) -> Iterator[tuple[str, Span]]:
+    """Yields the names of modules that are keys of a document, with their spans.
+
+    The name may be a part of the path of a value: ``modules.fl.can: 3`` in a unit.
+    """
+    for key, node in entries(view.tree).items():
+        first, *others = key.split(".") if view.is_unit else [key]
+        if first != "modules":
+            continue
+        if others:
+            yield others[0], _part_of_key(node, key, len(first) + 1, others[0])
+        else:
+            for name, module in entries(node).items():
+                yield name, _part_of_key(module, name, 0, name)
+
+
+def _part_of_key(node: Node, key: str, start: int, text: str) -> Span:
+    where = node.where
+    column = where.column + start + (where.end_column - where.column - len(key)) // 2  # a quote
+    return Span(where.file, where.line, column, where.line, column + len(text))
+
+
+Robots = list[tuple[ModuleView, open_document.OpenDocument]]
+
+
+def robots_of(
+    view: ModuleView,
+    document: open_document.OpenDocument,
+    name: str,
+    others: Iterable[open_document.OpenDocument],
+) -> tuple[Robots, Path | None]:
+    """Returns the robot document that has a module, and the units that inherit it from there.
+
+    Also returns the file of a design that is in no folder of the workspace, or ``None``.
+    """
+    if view.kind != "robot":
+        return [(view, document)], None
+    documents = {other.real_path: other for other in others if other.kind == "robot"}
+    documents[document.real_path] = document
+    designs = {path: _designs(path, documents) for path in documents}
+
+    def view_of(path: str) -> ModuleView:
+        robot = documents[path]
+        return view if robot is document else ModuleView("robot", robot.path, robot.tree, ())
+
+    known = [path for path in designs[document.real_path] if path in documents]
+    owners = (path for path in reversed(known) if name in dict(_keys(view_of(path))))
+    owner = next(owners, document.real_path)
+    outside = next((Path(p) for p in designs[document.real_path] if p not in documents), None)
+    return [(view_of(p), documents[p]) for p in documents if owner in designs[p]], outside
+
+
+def _designs(path: str, documents: Mapping[str, open_document.OpenDocument]) -> list[str]:
+    """Returns the paths of a robot document, its design, the design of that, and so on."""
+    paths: list[str] = []
+    while path not in paths:
+        paths.append(path)
+        tree = documents[path].tree if path in documents else None
+        link = tree.get("extends") if tree is not None else None
+        if link is None or not isinstance(link.value, str) or "\0" in link.value:
+            break
+        path = os.path.realpath(documents[path].path.parent / link.value)
+    return paths
+
+
+def uses_of(robots: Robots, name: str, others: Iterable[open_document.OpenDocument]) -> list[Use]:
+    """Returns all uses of a module in the robot documents of ``robots_of``, and in the others.
+
+    - ``others``: documents of the workspace.
+    """
+    uses = [use for robot in robots for use in _of_robot(*robot, name, others)]
+    return list(dict.fromkeys(uses))  # a scenario may name several of the robots
+
+
+def _of_robot(
     view: ModuleView,
     document: open_document.OpenDocument,
     name: str,
     others: Iterable[open_document.OpenDocument],
 ) -> list[Use]:
-    """Returns all uses of a module in its robot document, and in the other documents.
-
-    - ``others``: documents of the workspace.
-    """
     uses = list(_in_robot(view, document, name))
     if view.kind != "robot":
         return uses
-    modules = list(entries(view.tree.get("modules")))
+    modules = _modules(view, name)
     robot_name = view.tree.get("name")
     lock = os.path.realpath(lock_path(document.path))
     for other in others:
@@ -193,12 +263,12 @@ def uses_of(
 
 
 def _in_robot(view: ModuleView, document: open_document.OpenDocument, name: str) -> Iterator[Use]:
-    definition = entries(view.tree.get("modules")).get(name)
-    if definition is not None and definition.key_span is not None:
-        span = definition.key_span
-        yield Use(document, _inner(document, span, name), is_definition=True)
-    modules = list(entries(view.tree.get("modules")))
-    for path, node in _scalars(view.tree):
+    for key, span in _keys(view):
+        if key == name:
+            yield Use(document, span, is_definition=True)
+    modules = _modules(view, name)
+    for written_path, node in _scalars(view.tree):
+        path = view.full_path(written_path)
         for reference in references_of(view, path, node):
             if reference.kind == "module" and reference.whole == name:
                 yield Use(document, reference.span)
@@ -206,6 +276,11 @@ def _in_robot(view: ModuleView, document: open_document.OpenDocument, name: str)
             value = str(node.value)
             if value != name and "." not in value:
                 yield from _derived(document, [node.span], name, modules)
+
+
+def _modules(view: ModuleView, name: str) -> list[str]:
+    """Returns the modules of a robot, and one that a unit may remove."""
+    return [*entries(view.document.get("modules")), name]
 
 
 def _derived(
