@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import random
 import tempfile
+import zlib
 from contextlib import chdir
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from PIL import Image, TiffImagePlugin
 
 from tests.cli.conftest import GOOD
 from tests.fuzz.generator import BYTES, ROOT, TEXT, XML, YAML, Kind
+from tests.fuzz.mutations import Mutation
 from tests.fuzz.products import meshes, png_bomb, run_quietly
 from thorvaldc.model.stl import binary_stl
 
@@ -146,13 +149,17 @@ def named_kinds() -> list[Kind]:
     arm_files = {path.name: path.read_bytes() for path in arm.glob("*.xml")}
     other = {"cart.urdf": CART.encode(), "mesh.stl": meshes()["stl"]}  # the folder is not empty
     cart = {"cart.xml": MJCF, **other}
+    ground = ("check scenario.yaml", "scenario scenario.yaml")
+    maps = [(name, _ground(name, data)) for name, data in _maps().items()]
     devices = [_module_with_eds(name) for name in ("io", "drive")]
     return [
+        Kind("height map", ground, maps, (*BYTES, *TEXT)),
         Kind(
-            "height map",
-            ("check scenario.yaml", "scenario scenario.yaml"),
-            [(name, _ground(name, data)) for name, data in _maps().items()],
-            (*BYTES, *TEXT),
+            "PNG with checksums",
+            ground,
+            [(name, files) for name, files in maps if name.endswith(".png")],
+            [_with_checksums(change) for change in BYTES],
+            weight=0.5,
         ),
         Kind(
             "EDS of a module",
@@ -194,6 +201,21 @@ def _maps() -> dict[str, bytes]:
             [((0, 0, 0), (9, 0, 0.1), (9, 9, 0)), ((0, 0, 0), (9, 9, 0), (0, 9, 0))]
         ),
     }
+
+
+def _with_checksums(change: Mutation) -> Mutation:
+    """Returns a change of a PNG file, after which the checksums of its chunks are correct."""
+
+    def changed(rng: random.Random, data: bytes) -> bytes:
+        image, start = bytearray(change(rng, data)), 8
+        while start + 8 <= len(image):
+            end = start + 8 + int.from_bytes(image[start : start + 4])
+            image[end : end + 4] = zlib.crc32(image[start + 4 : end]).to_bytes(4)
+            start = end + 4
+        return bytes(image)
+
+    changed.__name__ = f"{change.__name__}_with_checksums"
+    return changed
 
 
 def _ground(name: str, data: bytes) -> dict[str, bytes]:
