@@ -41,8 +41,10 @@ _UNITS = {
     (402, 0x6077): ("%", "0.1"),
     (402, 0x6078): ("%", "0.1"),
     (402, 0x6079): ("V", "0.001"),
-    # CiA 418 and 419, as the driver `canopen_inventus` of Clearpath Robotics reads voltage and
-    # temperature: 1/1024 V, 1/8 degC, 1/8 Ah, 1/16 A and percent.
+    # CiA 418 (batteries) and 419 (chargers) have the same objects.  Voltage and temperature are as
+    # the driver `canopen_inventus` of Clearpath Robotics reads them; these and the others as in the
+    # object dictionary of a public battery firmware (CiA418_Profile.c, 2018): 1/8 degC, 1/8 Ah,
+    # 1/1024 V, 1/16 A, 1 %.  The total charge 0x6050 has no fraction there.
     **{
         (profile, index): unit
         for profile in (418, 419)
@@ -51,6 +53,7 @@ _UNITS = {
             0x6050: ("Ah", "1"),
             0x6051: ("Ah", "0.125"),
             0x6052: ("Ah", "0.125"),
+            0x6053: ("Ah", "0.125"),
             0x6060: ("V", "0.0009765625"),
             0x6070: ("A", "0.0625"),
             0x6080: ("%", "1"),
