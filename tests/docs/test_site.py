@@ -22,6 +22,17 @@ ROOT = Path(__file__).resolve().parents[2]
 pytestmark = [pytest.mark.xdist_group("site"), pytest.mark.timeout(300)]
 
 
+MAST = """\
+thorvaldc: 1
+description: A mast.
+mount: {kinds: [frame_clamp], link: body}
+links:
+  body:
+    parts:
+      - {shape: {cylinder: {radius: 20 mm, length: 1 m}}, mass: 2 kg, source: "estimated: a tube"}
+"""
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built_site(tmp_path_factory)
@@ -41,6 +52,26 @@ def test_a_site_without_the_playground_has_no_link_to_it(monkeypatch: pytest.Mon
     assert "playground/index.html" in text
     assert "playground/index.html" not in without_links(text)
     assert "contains it: open the playground. In" in without_links(text)
+
+
+def test_the_site_has_a_gallery_of_each_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(ROOT / "workshop" / "site")
+    import reference_modules
+
+    folder = tmp_path / "agri" / "modules"
+    mast = folder / "tool" / "mast"
+    mast.mkdir(parents=True)
+    (mast / "module.yaml").write_text(MAST, encoding="utf-8")
+    (mast / "picture.png").write_bytes(b"PNG")
+    monkeypatch.setattr(reference_modules, "LIBRARIES", str(folder))
+    pages = reference_modules.pages()
+    index = pages["reference/modules/agri/README.md"]
+    assert "| [tool/mast](tool.md#mast) | A mast. | ![The module tool/mast](tool_mast.png)" in index
+    assert pages["reference/modules/agri/tool_mast.png"] == mast / "picture.png"
+    assert "[agri](agri/README.md)" in pages["reference/modules/README.md"]
+    assert "controller/odrive" in pages["reference/modules/odrive/README.md"]
 
 
 @pytest.mark.slow

@@ -79,8 +79,9 @@ def on_files(files: Files, config: Any) -> Files:
         **reference_documents.pages(),
         **reference_modules.pages(),
     }
-    for address, text in generated.items():
-        files.append(File.generated(config, address, content=text))
+    for address, content in generated.items():
+        key = "abs_src_path" if isinstance(content, Path) else "content"
+        files.append(File.generated(config, address, **{key: str(content)}))
     return files
 
 

@@ -1,8 +1,13 @@
-"""The pages of the hardware library: one page for each category, with a picture of each module."""
+"""The pages of libraries of modules: one page for each category, with a picture of each module.
+
+The site has the library of this project, those of the examples, and the folders in the variable
+``LIBRARIES``.  In these, the picture of a module is the file ``picture.png`` in its folder.
+"""
 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
@@ -14,23 +19,60 @@ from thorvaldc.diagnostics import Report, Span
 
 ROOT = Path(__file__).resolve().parents[2]
 PICTURES = ROOT / "docs" / "assets" / "modules"
+ADDRESS = "reference/modules"
 
 
-def pages() -> dict[str, str]:
-    library, report = Library(), Report()
-    names = sorted(library.names_in(ROOT / "modules"))
-    found = [library.load(name, Node(name, Span("site")), report) for name in names]
-    modules = [module for module in found if module is not None]
-    texts = {"reference/modules/README.md": index(modules)}
-    for category, group in groupby(modules, key=lambda module: module.name.split("/")[0]):
-        texts[f"reference/modules/{category}.md"] = page(category, list(group))
+def pages() -> dict[str, str | Path]:
+    """Returns the texts and the pictures by their addresses."""
+    folders = [*sorted(ROOT.glob("examples/**/modules")), *map(Path, LIBRARIES.split())]
+    galleries = {name_of(folder): gallery(folder, name_of(folder)) for folder in folders}
+    head = "[How modules connect, and where the numbers come from](../../modules/README.md)."
+    links = [f"[{name}]({name}/README.md)" for name in galleries]
+    head += f" Other libraries: {', '.join(links)}."
+    texts = gallery(ROOT / "modules", "", f"# The hardware library\n\n{head}")
+    for others in galleries.values():
+        texts |= others
     return texts
 
 
-def index(modules: list[ModuleType]) -> str:
-    lines = ["# The hardware library", ""]
-    lines += ["[How modules connect, and where the numbers come from](../../modules/README.md)."]
-    lines += ["", "| module | what it is | picture |", "| --- | --- | --- |"]
+LIBRARIES = os.environ.get("LIBRARIES", "")
+
+
+def name_of(folder: Path) -> str:
+    """Returns the name of a library: that of the folder around ``modules``."""
+    folder = folder.resolve()
+    return (folder.parent if folder.name == "modules" else folder).name
+
+
+def gallery(folder: Path, name: str, head: str = "") -> dict[str, str | Path]:
+    """Returns the pages of a library, and the pictures beside its modules."""
+    library, report = Library([(folder, folder.name)]), Report()
+    names = sorted(library.names_in(folder))
+    found = [library.load(each, Node(each, Span("site")), report) for each in names]
+    if report.has_errors:
+        raise SystemExit("\n".join(f"{d.span}: {d.message}" for d in report))
+    modules = [module for module in found if module is not None]
+    place = f"{ADDRESS}/{name}".rstrip("/")
+    texts: dict[str, str | Path] = {}
+    texts[f"{place}/README.md"] = index(modules, head or f"# Modules of {name}")
+    for category, group in groupby(modules, key=lambda module: module.name.split("/")[0]):
+        texts[f"{place}/{category}.md"] = page(category, list(group))
+    for module in modules if name else ():
+        if (file := beside(module)).is_file():
+            texts[f"{place}/{file_name(module)}"] = file
+    return texts
+
+
+def beside(module: ModuleType) -> Path:
+    return module.folder / "picture.png"
+
+
+def file_name(module: ModuleType) -> str:
+    return f"{module.name.replace('/', '_')}.png"
+
+
+def index(modules: list[ModuleType], head: str) -> str:
+    lines = [head, "", "| module | what it is | picture |", "| --- | --- | --- |"]
     for module in modules:
         category, name = module.name.split("/")
         link = f"[{module.name}]({category}.md#{name})"
@@ -73,10 +115,14 @@ def description(module: ModuleType) -> str:
 
 
 def picture(module: ModuleType, width: int) -> str:
-    file = PICTURES / f"{module.name.replace('/', '_')}.png"
-    if not file.is_file():
+    link = file_name(module)
+    if module.folder.is_relative_to(ROOT / "modules"):
+        link = f"../../assets/modules/{link}"
+        if not (PICTURES / file_name(module)).is_file():
+            return ""
+    elif not beside(module).is_file():
         return ""
-    return f"![The module {module.name}](../../assets/modules/{file.name}){{ width={width} }}"
+    return f"![The module {module.name}]({link}){{ width={width} }}"
 
 
 def port(name: str, value: Any) -> str:
