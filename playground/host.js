@@ -31,8 +31,9 @@ function send(message) {
   describing = setTimeout(() => { if (!isCompiling && isReady) post({ kind: "drawn" }); }, PAUSE);
 }
 
-// Sends a request and returns its answer, or null if the worker ended meanwhile.
-function ask(kind, fields) {
+// Sends a request and returns its answer, or null if the worker has not started or ended meanwhile.
+async function ask(kind, fields) {
+  if (!isReady) return null;
   const id = ++requests;
   return new Promise((resolve) => {
     waiting.set(id, resolve);
@@ -65,6 +66,24 @@ function receive(message, received) {
       next();
     }
   }
+}
+
+receivers.loading = ({ loaded, size }) => {
+  const megabytes = (bytes) => (bytes / 1e6).toFixed(1);
+  status(`starting the compiler: ${megabytes(loaded)} of ${megabytes(size)} MB`, false);
+  $("status").append(Object.assign(element("progress"), { max: size, value: loaded, ariaLabel: "Loaded" }));
+};
+
+// Shows the picture that the build of the page has made of an example, until the compiler has started.
+async function showPicture(name, id) {
+  try {
+    const packed = await (await fetch(`examples/${name}.packed`)).arrayBuffer();
+    const { model, details } = await through(new DecompressionStream("gzip"), packed).json();
+    if (id !== identity || isReady) return;
+    showModel(model);
+    receivers.details(details);
+    showWhole();
+  } catch { /* the compiler shows the robot later */ }
 }
 
 // Turns the camera to another robot.
@@ -153,7 +172,7 @@ function edited(text) {
 const editor = ThorvaldEditor.create($("text"), {
   label: "Text of the file",
   onChange: edited,
-  complete: (text, at) => (isReady ? ask("complete", { file, text, offset: at }) : null),
+  complete: (text, offset) => ask("complete", { file, text, offset }),
 });
 
 // -- robots that are kept ----------------------------------------------------------------------------
@@ -255,6 +274,7 @@ function openFiles(content, mainFile, name, message = "", id = newIdentity(), is
   note(message);
   if (isReady && isCompiling) endWorker("another robot was opened");
   else if (isReady) compileAll({ files, main });
+  if (name && !isReady) return showPicture(name, id);
 }
 
 function showTabs() {
@@ -262,7 +282,6 @@ function showTabs() {
   $("tabs").hidden = names.length < 2;
   $("tabs").replaceChildren(...names.map((name) => {
     const tab = element("button", name);
-    tab.type = "button";
     tab.setAttribute("role", "tab");
     tab.addEventListener("click", () => openTab(name));
     return tab;
@@ -291,9 +310,7 @@ function mark() {
   editor.mark(last.filter(({ span }) => span && pathOf(span.file) === file));
 }
 
-async function through(stream, bytes) {
-  return new Uint8Array(await new Response(new Blob([bytes]).stream().pipeThrough(stream)).arrayBuffer());
-}
+const through = (stream, bytes) => new Response(new Blob([bytes]).stream().pipeThrough(stream));
 
 const base64 = (bytes) => btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
 const bytesOf = (text) => Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
@@ -302,8 +319,8 @@ const bytesOf = (text) => Uint8Array.from(atob(text), (character) => character.c
 async function fragment() {
   const all = { main, files: Object.fromEntries(files) };
   if (origin && JSON.stringify(all) === JSON.stringify(await example(origin))) return `example=${origin}`;
-  const packed = await through(new CompressionStream("deflate-raw"), new TextEncoder().encode(JSON.stringify(all)));
-  return `robot=${base64(packed).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "")}`;
+  const packed = await through(new CompressionStream("deflate-raw"), JSON.stringify(all)).arrayBuffer();
+  return `robot=${base64(new Uint8Array(packed)).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "")}`;
 }
 
 async function saveLink() {
@@ -330,7 +347,7 @@ async function openLink() {
   try {
     if (key === "robot") {
       const packed = bytesOf(value.replaceAll("-", "+").replaceAll("_", "/"));
-      const all = JSON.parse(new TextDecoder().decode(await through(new DecompressionStream("deflate-raw"), packed)));
+      const all = await through(new DecompressionStream("deflate-raw"), packed).json();
       if (!isText(all.files[all.main])) throw new Error("it has no robot file");
       return openFiles(all.files, all.main, "", "", id, false);
     }
@@ -340,7 +357,7 @@ async function openLink() {
   const known = [...$("example").options].map((option) => option.value).filter(Boolean);
   const name = key === "example" && known.includes(value) ? value : known[0];
   const { files: content, main: mainFile } = await example(name);
-  openFiles(content, mainFile, name, message, id, false);
+  return openFiles(content, mainFile, name, message, id, false);
 }
 
 $("share").addEventListener("click", async () => {
@@ -406,10 +423,10 @@ function showDialog(title, ...content) {
 // -- modules -----------------------------------------------------------------------------------------
 
 function moduleItem(module) {
-  const item = element("li"), button = element("button", module.type);
-  button.type = "button";
+  const item = element("li"), button = element("button"), picture = `modules/${module.type.replace("/", "_")}.png`;
   button.draggable = true;
-  button.append(element("small", module.text));
+  if (module.picture) button.append(Object.assign(element("img"), { src: picture, alt: "", loading: "lazy", draggable: false }));
+  button.append(module.type, element("small", module.text));
   button.addEventListener("click", () => choosePlace(module));
   button.addEventListener("dragstart", (event) => {
     event.dataTransfer.setData("text/plain", module.type);
@@ -432,7 +449,6 @@ async function choosePlace(module) {
   const list = element("ul");
   for (const place of answer.places) {
     const item = element("li"), button = element("button", place.text);
-    button.type = "button";
     button.addEventListener("click", () => { $("dialog").close(); mount(module, place.mount); });
     item.append(button);
     list.append(item);
@@ -513,13 +529,11 @@ $("build").addEventListener("click", async () => {
   const targets = [...$("targets").querySelectorAll("input:checked")].map((box) => box.value);
   $("built-note").textContent = "building…";
   const answer = await ask("build", { targets });
-  if (!answer) return;
-  const { files: built, warnings, error } = answer;
+  const { files: built, warnings, error } = answer ?? { files: [], warnings: [], error: "build again when the compiler has started" };
   $("built-note").textContent = [error || (built.length ? "" : "there is no robot without errors"), ...warnings].filter(Boolean).join("; ");
   $("download").hidden = !built.length;
   $("built").replaceChildren(...built.map((entry) => {
     const item = element("li"), button = element("button", `${entry.path} (${size(entry.bytes)})`);
-    button.type = "button";
     button.addEventListener("click", () => showBuilt(entry.path));
     item.append(button);
     return item;
@@ -538,7 +552,6 @@ async function showBuilt(path) {
   const answer = await ask("file", { path });
   if (!answer) return;
   const button = element("button", "download"), name = path.split("/").pop();
-  button.type = "button";
   button.addEventListener("click", () => save(name, answer.text !== undefined ? new TextEncoder().encode(answer.text) : bytesOf(answer.base64)));
   const text = element("pre", answer.text ?? "(no text)");
   text.tabIndex = 0;
@@ -570,8 +583,9 @@ $("diagnostics").addEventListener("click", (event) => {
   editor.show(diagnostic.span.start);
 });
 
+// The picture comes first, before the megabytes of the compiler.
 async function begin() {
-  startWorker();
+  $("wiring").parentElement.after($("outputs"));
   const { modules, examples: names } = await fetch("library.json").then((response) => response.json());
   $("modules").append(...modules.map(moduleItem));
   for (const { name, title } of names) {
@@ -580,5 +594,6 @@ async function begin() {
     $("example").append(option);
   }
   await openLink();
+  startWorker();
 }
 begin();

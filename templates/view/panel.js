@@ -1,11 +1,18 @@
 // The tables beside the 3D scene: parts, CAN nodes, joints and the selected part of a robot.
 "use strict";
 
-function element(name, text, className) {
+function element(name, content, className) {
   const element = document.createElement(name);
-  if (text !== undefined) element.textContent = text;
+  if (content !== undefined) element.append(content);
   if (className) element.className = className;
   return element;
+}
+
+// A row of a table: texts or elements, and the numbers of the cells with numbers.
+function tableRow(cells, numeric = [], name = "td") {
+  const row = element("tr");
+  row.append(...cells.map((cell, n) => element(name, cell, numeric.includes(n) ? "number" : "")));
+  return row;
 }
 
 // Ids of other protocols than CANopen are a range of their own: the battery 1 and the controller 1 share no id.
@@ -30,22 +37,16 @@ function partsOf(design) {
 
 function partRows(design, select) {
   return [...partsOf(design)].filter(([, p]) => p.mass || p.ids.length).map(([name, part]) => {
-    const row = element("tr", undefined, "part"), cell = element("td"), button = element("button", name || "base");
-    button.type = "button";
+    const row = tableRow([element("button", name || "base"), part.mass ? kilograms(part.mass) : "", part.ids.join(", ")], [1]);
+    row.className = "part";
     row.dataset.part = name;
-    cell.append(button);
-    row.append(cell, element("td", part.mass ? kilograms(part.mass) : "", "number"), element("td", part.ids.join(", ")));
     row.addEventListener("click", () => select(name));
     return row;
   });
 }
 
 function nodeRows(design) {
-  return design.nodes.map((node) => {
-    const row = element("tr");
-    row.append(element("td", node.bus), element("td", node.name), element("td", idOf(node), "number"), element("td", node.serial || ""));
-    return row;
-  });
+  return design.nodes.map((node) => tableRow([node.bus, node.name, idOf(node), node.serial || ""], [2]));
 }
 
 function slider(robot, joint, moveJoint) {

@@ -133,7 +133,7 @@ def test_back_returns_to_the_text_and_its_undo_steps(
 ) -> None:
     page = opened(context, address)
     first = page.evaluate("editor.text")
-    assert page.input_value("#example") == "4wd4ws_wide"
+    assert page.input_value("#example") == "car"
     type_at_end(page, "# mine\n")
     assert page.input_value("#example") == ""  # "your own": the example can be chosen again
     page.select_option("#example", "9wd9ws")
@@ -147,7 +147,7 @@ def test_back_returns_to_the_text_and_its_undo_steps(
     page.reload()
     settle(page)
     assert page.evaluate("editor.text").endswith("# mine\n")
-    page.select_option("#example", "4wd4ws_wide")
+    page.select_option("#example", "car")
     wait_until(page, lambda: page.evaluate("editor.text") == first)
     page.click("#mine")
     assert page.locator("#dialog-content li").count() == 1
