@@ -251,6 +251,16 @@ def test_the_editor_proposes_keys_and_types(page: Page) -> None:
     assert "type: caster/swivel" in page.evaluate("editor.text")
 
 
+@pytest.mark.parametrize("keys", ["  x: {type: ", "  x:\ntype: "])
+def test_the_list_of_types_opens_after_their_key(page: Page, keys: str) -> None:
+    write(page, TEXT.partition("accept:")[0])
+    page.click(".cm-content")
+    page.keyboard.press("Control+End")
+    page.keyboard.type(keys)
+    page.get_by_role("option", name="assembly/fixed_drive", exact=False).wait_for(timeout=WAIT)
+    page.keyboard.press("Escape")
+
+
 def test_a_line_below_a_key_and_a_wrapped_row_are_indented(page: Page) -> None:
     page.click(".cm-content")
     page.keyboard.press("Control+End")
