@@ -159,8 +159,8 @@ def write_examples(folder: Path) -> None:
             write(folder / "examples" / f"{name}.json", json.dumps({"main": main, "files": files}))
             picture = {"model": robot.message(set())["model"], "details": robot.details()}
             pack(folder / "examples" / name, json.dumps(picture).encode())
-            examples.append({"name": name, "title": name})
-    examples.sort(key=lambda example: example["name"] != FIRST_EXAMPLE)
+            examples.append(name)
+    examples.sort(key=lambda name: name != FIRST_EXAMPLE)
     shutil.copytree(PICTURES, folder / "modules")
     library = Library([])
     types = [library.load(name, Node(name, Span(name)), Report()) for name in library.names()]

@@ -1,11 +1,18 @@
-// The tables beside the 3D scene: parts, CAN nodes, joints and the selected part of a robot.
+// The 3D scene and the tables beside it: parts, CAN nodes, ports, joints and the selected part of a robot.
 "use strict";
+const $ = (id) => document.getElementById(id);
 
 function element(name, content, className) {
   const element = document.createElement(name);
   if (content !== undefined) element.append(content);
   if (className) element.className = className;
   return element;
+}
+
+function button(content, onClick) {
+  const button = element("button", content);
+  button.addEventListener("click", onClick);
+  return button;
 }
 
 // A row of a table: texts or elements, and the numbers of the cells with numbers.
@@ -47,6 +54,14 @@ function partRows(design, select) {
 
 function nodeRows(design) {
   return design.nodes.map((node) => tableRow([node.bus, node.name, idOf(node), node.serial || ""], [2]));
+}
+
+function portRows(design) {
+  return design.ports.map((port) => {
+    const row = tableRow([port.name, port.kind, port.carries.join(", ") || "free"]);
+    row.className = port.carries.length ? "" : "free";
+    return row;
+  });
 }
 
 function slider(robot, joint, moveJoint) {
@@ -93,3 +108,64 @@ function selectionLines(robot, name, part) {
     if (joint.type !== "fixed" && part.links.includes(joint.child)) addLine(`moved by ${joint.name}`);
   return lines;
 }
+
+// -- the robots and the selection ------------------------------------------------------------------
+
+let current = null, selected = null, jointSliders = [];
+const viewer = new ThorvaldViewer.Viewer($("canvas"), $("labels"), (robot, part) => {
+  if (!current) return;
+  if (viewer.robots[robot] !== current) showRobot(viewer.robots[robot]);
+  selectPart(part);
+});
+const number = () => viewer.robots.indexOf(current);
+if (!viewer.renderer) {
+  $("fault").textContent = "This browser does not support WebGL 2: there is no 3D picture, only the tables.";
+  $("fault").hidden = false;
+}
+
+// Shows a scene.  Joint positions, selection and camera stay.
+function showScene(scene) {
+  const part = selected, name = current?.name;
+  viewer.setScene(scene, scene.ghost);
+  const { robots } = viewer;
+  $("title").textContent = document.title = scene.name;
+  $("robots").hidden = robots.length < 2;
+  $("robot").replaceChildren(...robots.map((robot, n) => new Option(robot.name, n)));
+  showRobot(robots.find((robot) => robot.name === name) ?? robots[0]);
+  if (part !== null) selectPart(part);
+}
+
+function showRobot(robot) {
+  current = robot;
+  $("robot").value = number();
+  $("facts").textContent = robot.design.facts;
+  jointSliders = sliders(robot, (name, value) => { viewer.setJoint(number(), name, value); showSelection(); });
+  $("joints").replaceChildren(...jointSliders);
+  $("parts").replaceChildren(...partRows(robot.design, (name) => selectPart(selected === name ? null : name)));
+  $("nodes")?.replaceChildren(...nodeRows(robot.design));
+  $("port-rows")?.replaceChildren(...portRows(robot.design));
+  selectPart(null);
+}
+
+function selectPart(part) {
+  selected = part;
+  for (const row of $("parts").children) row.classList.toggle("chosen", row.dataset.part === part);
+  showSelection();
+  viewer.select(number(), part);
+}
+
+function showSelection() {
+  const part = selected === null ? undefined : partsOf(current.design).get(selected);
+  $("chosen").hidden = !part;
+  if (part) $("chosen").replaceChildren(...selectionLines(current, selected, part));
+}
+
+$("robot").addEventListener("change", () => showRobot(viewer.robots[$("robot").value]));
+$("names").addEventListener("change", () => viewer.setNames($("names").checked));
+$("zero").addEventListener("click", () => {
+  if (!current) return;
+  setZero(current);
+  for (const item of jointSliders) item.update();
+  showSelection();
+  viewer.redraw();
+});
