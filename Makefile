@@ -1,6 +1,6 @@
 # Every target sets itself up: a virtual environment in .venv with the versions of locks/dev.txt,
 # made anew when the lock or pyproject.toml changes.  The demo needs the plain package alone (PLAIN),
-# the other targets all that developers need (READY).  With an environment of your own:
+# the playground less, the other targets all that developers need (READY).  With an environment of your own:
 # make test BIN=/path/to/bin READY=
 
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; do \
@@ -46,15 +46,20 @@ help:
 
 setup: $(READY)
 
-.venv/.plain: pyproject.toml locks/dev.txt
+# Makes an empty environment of the folder of the target.
+define NEW_VENV
 	@if [ -z "$(PYTHON)" ] || ! $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then \
 	  echo "error: Python 3.11 or newer is needed, and none was found as '$(or $(PYTHON),python3)'." >&2; \
 	  echo "       Say where it is: make PYTHON=/path/to/python3.11" >&2; exit 1; fi
 	@if ! $(PYTHON) -c 'import venv, ensurepip' 2>/dev/null; then \
 	  echo "error: $(PYTHON) comes without venv or ensurepip." >&2; \
 	  echo "       On Debian and Ubuntu: apt install python3-venv" >&2; exit 1; fi
-	@echo "Setting up .venv (once, and when pyproject.toml or locks/dev.txt changes)" >&2
-	@$(PYTHON) -m venv --clear .venv
+	@echo "Setting up $(@D) (once, and when the versions change)" >&2
+	@$(PYTHON) -m venv --clear $(@D)
+endef
+
+.venv/.plain: pyproject.toml locks/dev.txt
+	$(NEW_VENV)
 	@$(call PIP_INSTALL,.venv/bin) --no-compile --editable . $(NOT_INSTALLED)
 	@touch $@
 
@@ -204,8 +209,15 @@ dist: $(READY)
 docs: $(READY)
 	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/python -m mkdocs build
 
-# The playground is also a part of the site, where npm is installed.
-playground: $(READY)
+# The playground is also a part of the site, where npm is installed.  Its build has an environment of
+# its own with the packages that the compiler needs in a browser.
+.venv-playground/.ready: locks/dev.txt
+	$(NEW_VENV)
+	@$(call PIP_INSTALL,$(@D)/bin) jinja2 jsonschema pyyaml xacro $(NOT_INSTALLED)
+	@touch $@
+
+playground: BIN := $(if $(READY),.venv-playground/bin,$(BIN))
+playground: $(if $(READY),.venv-playground/.ready)
 	PYTHONPATH=. $(BIN)/python playground/build.py build/playground
 	@echo "http://127.0.0.1:8010/ (Ctrl-C ends the server; any static server shows build/playground)"
 	@$(BIN)/python -m http.server --bind 127.0.0.1 --directory build/playground 8010
@@ -215,7 +227,7 @@ docs-serve: $(READY)
 
 clean:
 	rm -rf build dist bench.json bench-long.json .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
-	find . \( -path ./.venv -o -path ./.matrix -o -path ./.mutants \) -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
+	find . \( -path './.venv*' -o -path ./.matrix -o -path ./.mutants \) -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
 
 distclean: clean
-	rm -rf .venv .venv-lock .matrix .mutants
+	rm -rf .venv .venv-lock .venv-playground .matrix .mutants

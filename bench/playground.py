@@ -90,7 +90,7 @@ def _figures(program: str, address: str, folder: str) -> Iterator[Figure]:
             if number + 1 < ROUNDS:
                 context.close()
         page = context.pages[-1]
-        page.wait_for_selector("#tables details", state="attached", timeout=WAIT)
+        page.wait_for_selector("#overview table", state="attached", timeout=WAIT)
         edits = _edits(page)
         ratio = _drive(page)
         context.close()

@@ -27,15 +27,17 @@ from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.tools.preview.compiled_robot import INPUT_SUFFIXES, robot_page
+from thorvaldc.tools.preview.compiled_robot import INPUT_SUFFIXES, CompiledRobot, robot_page
 
 ROOT = Path(__file__).resolve().parents[1]
 HERE = ROOT / "playground"
 NODE = HERE / "node_modules"
-FIRST_EXAMPLE = "4wd4ws_wide"
+FIRST_EXAMPLE = "car"
+PICTURES = ROOT / "docs" / "assets" / "modules"
 POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline';"
-    " connect-src 'self'; worker-src 'self'; img-src data:; base-uri 'none'; form-action 'none'"
+    " connect-src 'self'; worker-src 'self'; img-src 'self' data:;"
+    " base-uri 'none'; form-action 'none'"
 )
 """The page loads nothing from other hosts."""
 PACKAGES = (
@@ -90,11 +92,8 @@ def main() -> int:
         "pyodide/pyodide.asm.wasm",
         "@mujoco/mujoco/mujoco.wasm",
     ):
-        data = gzip.compress((NODE / name).read_bytes(), 9, mtime=0)
-        (folder / f"{Path(name).name}.packed").write_bytes(data)
+        pack(folder / Path(name).name, (NODE / name).read_bytes())
     lock = json.loads((NODE / "pyodide" / "pyodide-lock.json").read_text(encoding="utf-8"))
-    worker = (HERE / "worker.js").read_text(encoding="utf-8")
-    write(folder / "worker.js", worker.replace("null /*LOCK*/", json.dumps(lock["info"])))
     write(folder / "index.html", page())
     npm("run", "--silent", "build", "--", f"--outfile={folder / 'editor.js'}")
     write_examples(folder)
@@ -105,6 +104,11 @@ def main() -> int:
         for name, archive in (("app", "python.zip"), ("lib", "python_stdlib.zip")):
             command = ["node", "pack.mjs", str(Path(stage, name)), str(folder / archive)]
             subprocess.run(command, check=True, cwd=HERE)
+    loaded = [path for path in folder.iterdir() if path.name.startswith(("py", "python"))]
+    size = sum(path.stat().st_size for path in loaded if path.suffix != ".mjs")
+    worker = (HERE / "worker.js").read_text(encoding="utf-8")
+    worker = worker.replace("null /*LOCK*/", json.dumps(lock["info"]))
+    write(folder / "worker.js", worker.replace("0 /*SIZE*/", str(size)))
     write_service_worker(folder)
     return 0
 
@@ -125,26 +129,39 @@ def write(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
 
 
+def pack(path: Path, data: bytes) -> None:
+    """Writes a file, compressed, beside the place of its name."""
+    path.with_name(f"{path.name}.packed").write_bytes(gzip.compress(data, 9, mtime=0))
+
+
 def page() -> str:
     host, workbench = (
         (HERE / n).read_text(encoding="utf-8") for n in ("host.js", "workbench.html")
     )
     head = '<meta charset="utf-8">'
     policy = f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
+    policy += '<link rel="icon" href="data:,">'
     return robot_page(host, workbench).replace(head, f"{head}\n{policy}", 1)
 
 
 def write_examples(folder: Path) -> None:
-    """Writes the files of each example that compiles, and the module types of the library."""
+    """Writes the files and the picture of each example that compiles, and the library."""
     examples = []
     for path in sorted(ROOT.glob("examples/*/*.yaml")):
-        if path.name in ("robot.yaml", "fleet.yaml") and compile_file(path).model is not None:
+        if path.name not in ("robot.yaml", "fleet.yaml"):
+            continue
+        robot = CompiledRobot(path, (), False)
+        robot.compile()
+        if robot.model is not None:
             name = path.parent.name
             main = path.relative_to(ROOT / "examples").as_posix()
             files = {p.relative_to(ROOT / "examples").as_posix(): content(p) for p in inputs(path)}
             write(folder / "examples" / f"{name}.json", json.dumps({"main": main, "files": files}))
-            examples.append({"name": name, "title": name})
-    examples.sort(key=lambda example: example["name"] != FIRST_EXAMPLE)
+            picture = {"model": robot.message(set())["model"], "details": robot.details()}
+            pack(folder / "examples" / name, json.dumps(picture).encode())
+            examples.append(name)
+    examples.sort(key=lambda name: name != FIRST_EXAMPLE)
+    shutil.copytree(PICTURES, folder / "modules")
     library = Library([])
     types = [library.load(name, Node(name, Span(name)), Report()) for name in library.names()]
     modules = [
@@ -152,6 +169,7 @@ def write_examples(folder: Path) -> None:
             "type": module.name,
             "text": module.summary,
             "kinds": describe_module(module, library).mounts_on,
+            "picture": (PICTURES / f"{module.name.replace('/', '_')}.png").is_file(),
         }
         for module in types
         if module is not None

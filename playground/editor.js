@@ -34,11 +34,13 @@ const LOOK = EditorView.theme({
 // The tab stops of a snippet: `$1` is `${1}` here, and the end `$0` is `${}`.
 const tabStops = (text) => text.replace(/\$(\d)/g, (_, number) => (number === "0" ? "${}" : `\${${number}}`));
 
+const unitsOf = (text, characters) => [...text].slice(0, characters).join("").length;
+
 // A place of the compiler: line and column of a Unicode character, from 1.
 function offset(document, [line, column]) {
   if (line > document.lines) return document.length;
   const { from, text } = document.line(Math.max(line, 1));
-  return from + [...text].slice(0, column - 1).join("").length;
+  return from + unitsOf(text, column - 1);
 }
 
 // A new line after `key:` is one step further in.
@@ -83,12 +85,12 @@ const characters = (document, position) => [...document.sliceString(0, position)
 export function create(parent, { onChange, complete, label }) {
   let isSilent = false;
   const source = async (context) => {
-    const before = context.state.doc.lineAt(context.pos).text.slice(0, context.pos - context.state.doc.lineAt(context.pos).from);
+    const line = context.state.doc.lineAt(context.pos), before = line.text.slice(0, context.pos - line.from);
     if (!context.explicit && !/[\w/.:{$ -]$/.test(before)) return null;
     const text = context.state.doc.toString();
     const answer = await complete(text, characters(context.state.doc, context.pos));
     if (!answer?.proposals.length || context.aborted) return null;
-    const start = [...text].slice(0, answer.start).join("").length;
+    const start = unitsOf(text, answer.start);
     if (!context.explicit && start === context.pos && !/[:{ ]$/.test(before)) return null;
     const options = answer.proposals.map((proposal, number) => {
       const from = start + proposal.start;
@@ -154,7 +156,7 @@ export function create(parent, { onChange, complete, label }) {
     },
     // Inserts a text at an offset in characters, and shows it.
     insert(text, at) {
-      const from = [...view.state.doc.toString()].slice(0, at).join("").length;
+      const from = unitsOf(view.state.doc.toString(), at);
       view.dispatch({ changes: { from, insert: text }, selection: { anchor: from + text.trimEnd().length }, scrollIntoView: true, userEvent: "input" });
     },
     // Puts the cursor at a place of the compiler.

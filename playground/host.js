@@ -14,7 +14,8 @@ let isShown = false; // a robot was on the screen
 let hasEnded = false; // the note on the screen is about a worker that ended
 const changed = new Set(); // files with a text that is not compiled
 let isOther = false; // the next model is another robot, not a changed one
-let files = new Map(), main = "", file = "", good = null, origin = "", last = [];
+let files = new Map(), main = "", file = "", good = null, last = [];
+let origin = "", opened = ""; // name of the example and the files as they were opened
 let identity = ""; // of the robot on the screen, for the history and the storage of the browser
 const waiting = new Map(); // resolve functions of requests by their id
 
@@ -31,8 +32,9 @@ function send(message) {
   describing = setTimeout(() => { if (!isCompiling && isReady) post({ kind: "drawn" }); }, PAUSE);
 }
 
-// Sends a request and returns its answer, or null if the worker ended meanwhile.
-function ask(kind, fields) {
+// Sends a request and returns its answer, or null if the worker has not started or ended meanwhile.
+async function ask(kind, fields) {
+  if (!isReady) return null;
   const id = ++requests;
   return new Promise((resolve) => {
     waiting.set(id, resolve);
@@ -65,6 +67,24 @@ function receive(message, received) {
       next();
     }
   }
+}
+
+receivers.loading = ({ loaded, size }) => {
+  const megabytes = (bytes) => (bytes / 1e6).toFixed(1);
+  status(`starting the compiler: ${megabytes(loaded)} of ${megabytes(size)} MB`, false);
+  $("status").append(Object.assign(element("progress"), { max: size, value: loaded, ariaLabel: "Loaded" }));
+};
+
+// Shows the picture that the build of the page has made of an example, until the compiler has started.
+async function showPicture(name, id) {
+  try {
+    const packed = await (await fetch(`examples/${name}.packed`)).arrayBuffer();
+    const { model, details } = await through(new DecompressionStream("gzip"), packed).json();
+    if (id !== identity || isReady) return;
+    showModel(model);
+    receivers.details(details);
+    showWhole();
+  } catch { /* the compiler shows the robot later */ }
 }
 
 // Turns the camera to another robot.
@@ -153,7 +173,7 @@ function edited(text) {
 const editor = ThorvaldEditor.create($("text"), {
   label: "Text of the file",
   onChange: edited,
-  complete: (text, at) => (isReady ? ask("complete", { file, text, offset: at }) : null),
+  complete: (text, offset) => ask("complete", { file, text, offset }),
 });
 
 // -- robots that are kept ----------------------------------------------------------------------------
@@ -213,18 +233,16 @@ async function openKept(id, isNew) {
 $("mine").addEventListener("click", () => {
   const list = element("ul");
   for (const robot of keptIds().map(keptRobot).sort((a, b) => b.time - a.time)) {
-    const item = element("li"), open = element("button"), remove = element("button", "remove");
     const name = /^name:\s*(\S+)/m.exec(robot.files[robot.main])?.[1] ?? robot.main;
-    open.textContent = `${name}, ${new Date(robot.time).toLocaleString()}`;
-    open.addEventListener("click", () => { $("dialog").close(); openKept(robot.id, true); });
-    remove.disabled = robot.id === identity;
-    remove.addEventListener("click", () => {
-      if (!confirm(`Remove ${open.textContent}? It cannot be restored.`)) return;
+    const title = `${name}, ${new Date(robot.time).toLocaleString()}`, item = element("li");
+    const remove = button("remove", () => {
+      if (!confirm(`Remove ${title}? It cannot be restored.`)) return;
       for (const file of robot.names) localStorage.removeItem(`${KEPT}${robot.id} ${file}`);
       localStorage.removeItem(KEPT + robot.id);
       item.remove();
     });
-    item.append(open, " ", remove);
+    remove.disabled = robot.id === identity;
+    item.append(button(title, () => { $("dialog").close(); openKept(robot.id, true); }), " ", remove);
     list.append(item);
   }
   const text = list.children.length ? "Robots that were typed or opened here. They stay in this browser." : "No robot was typed or opened here yet.";
@@ -244,6 +262,7 @@ function openFiles(content, mainFile, name, message = "", id = newIdentity(), is
   files = new Map(Object.entries(content));
   main = file = mainFile;
   origin = name;
+  opened = JSON.stringify({ main, files: content });
   isBehind = false;
   isOther = true;
   good = null;
@@ -255,16 +274,15 @@ function openFiles(content, mainFile, name, message = "", id = newIdentity(), is
   note(message);
   if (isReady && isCompiling) endWorker("another robot was opened");
   else if (isReady) compileAll({ files, main });
+  if (name && !isReady) return showPicture(name, id);
 }
 
 function showTabs() {
   const names = [...files.keys()];
   $("tabs").hidden = names.length < 2;
   $("tabs").replaceChildren(...names.map((name) => {
-    const tab = element("button", name);
-    tab.type = "button";
-    tab.setAttribute("role", "tab");
-    tab.addEventListener("click", () => openTab(name));
+    const tab = button(name, () => openTab(name));
+    tab.role = "tab";
     return tab;
   }));
 }
@@ -291,19 +309,17 @@ function mark() {
   editor.mark(last.filter(({ span }) => span && pathOf(span.file) === file));
 }
 
-async function through(stream, bytes) {
-  return new Uint8Array(await new Response(new Blob([bytes]).stream().pipeThrough(stream)).arrayBuffer());
-}
+const through = (stream, bytes) => new Response(new Blob([bytes]).stream().pipeThrough(stream));
 
 const base64 = (bytes) => btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
 const bytesOf = (text) => Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
 
 // The fragment of a link: the name of an example, or the files as compressed JSON in base64.
 async function fragment() {
-  const all = { main, files: Object.fromEntries(files) };
-  if (origin && JSON.stringify(all) === JSON.stringify(await example(origin))) return `example=${origin}`;
-  const packed = await through(new CompressionStream("deflate-raw"), new TextEncoder().encode(JSON.stringify(all)));
-  return `robot=${base64(packed).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "")}`;
+  const text = JSON.stringify({ main, files: Object.fromEntries(files) });
+  if (origin && text === opened) return `example=${origin}`;
+  const packed = await through(new CompressionStream("deflate-raw"), text).arrayBuffer();
+  return `robot=${base64(new Uint8Array(packed)).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "")}`;
 }
 
 async function saveLink() {
@@ -311,15 +327,9 @@ async function saveLink() {
   if (id === identity) history.replaceState({ id }, "", text.length <= LONGEST_LINK ? `#${text}` : "#");
 }
 
-const examples = new Map();
-async function example(name) {
-  if (!examples.has(name)) examples.set(name, fetch(`examples/${name}.json`).then((response) => response.json()));
-  try {
-    return await examples.get(name);
-  } catch (error) {
-    examples.delete(name);
-    throw error;
-  }
+async function openExample(name, ...options) {
+  const { files: content, main: mainFile } = await (await fetch(`examples/${name}.json`)).json();
+  return openFiles(content, mainFile, name, ...options);
 }
 
 // Opens the robot of the entry in the history: the kept one, else that of the address.
@@ -330,7 +340,7 @@ async function openLink() {
   try {
     if (key === "robot") {
       const packed = bytesOf(value.replaceAll("-", "+").replaceAll("_", "/"));
-      const all = JSON.parse(new TextDecoder().decode(await through(new DecompressionStream("deflate-raw"), packed)));
+      const all = await through(new DecompressionStream("deflate-raw"), packed).json();
       if (!isText(all.files[all.main])) throw new Error("it has no robot file");
       return openFiles(all.files, all.main, "", "", id, false);
     }
@@ -338,9 +348,7 @@ async function openLink() {
     message = `The link cannot be read (${error.message}); this is an example.`;
   }
   const known = [...$("example").options].map((option) => option.value).filter(Boolean);
-  const name = key === "example" && known.includes(value) ? value : known[0];
-  const { files: content, main: mainFile } = await example(name);
-  openFiles(content, mainFile, name, message, id, false);
+  return openExample(key === "example" && known.includes(value) ? value : known[0], message, id, false);
 }
 
 $("share").addEventListener("click", async () => {
@@ -373,7 +381,8 @@ $("chosen-files").addEventListener("change", async () => {
   else if (files.size) {
     // Meshes and other files for the robot on the screen.
     const folder = main.split("/").slice(0, -1).map((part) => `${part}/`).join("");
-    openFiles({ ...Object.fromEntries(files), ...Object.fromEntries(Object.entries(content).map(([name, data]) => [folder + name, data])) }, main, "");
+    for (const [name, data] of Object.entries(content)) files.set(folder + name, data);
+    openFiles(Object.fromEntries(files), main, "");
   }
   if (main) keep();
 });
@@ -381,8 +390,7 @@ $("example").addEventListener("change", async () => {
   const name = $("example").value;
   if (!name) return;
   try {
-    const { files: content, main: mainFile } = await example(name);
-    openFiles(content, mainFile, name);
+    await openExample(name);
   } catch (error) {
     $("example").value = "";
     note(`${name} cannot be loaded (${error.message}). Is there a network?`);
@@ -406,23 +414,21 @@ function showDialog(title, ...content) {
 // -- modules -----------------------------------------------------------------------------------------
 
 function moduleItem(module) {
-  const item = element("li"), button = element("button", module.type);
-  button.type = "button";
-  button.draggable = true;
-  button.append(element("small", module.text));
-  button.addEventListener("click", () => choosePlace(module));
-  button.addEventListener("dragstart", (event) => {
+  const card = button(module.type, () => choosePlace(module)), picture = `modules/${module.type.replace("/", "_")}.png`;
+  card.draggable = true;
+  card.append(element("small", module.text));
+  if (module.picture) card.prepend(Object.assign(element("img"), { src: picture, alt: "", loading: "lazy", draggable: false }));
+  card.addEventListener("dragstart", (event) => {
     event.dataTransfer.setData("text/plain", module.type);
     dragged = { module, places: [] };
     viewer.setShown({ port: true });
     ask("places", { type: module.type, kinds: module.kinds }).then((answer) => { if (answer) dragged.places = answer.places; });
   });
-  button.addEventListener("dragend", () => {
+  card.addEventListener("dragend", () => {
     viewer.setShown({ port: $("ports").checked });
     $("drop")?.remove();
   });
-  item.append(button);
-  return item;
+  return element("li", card);
 }
 
 async function choosePlace(module) {
@@ -431,11 +437,7 @@ async function choosePlace(module) {
   if (!answer) return;
   const list = element("ul");
   for (const place of answer.places) {
-    const item = element("li"), button = element("button", place.text);
-    button.type = "button";
-    button.addEventListener("click", () => { $("dialog").close(); mount(module, place.mount); });
-    item.append(button);
-    list.append(item);
+    list.append(element("li", button(place.text, () => { $("dialog").close(); mount(module, place.mount); })));
   }
   const fits = `${module.type} fits ports of the kind ${module.kinds.join(", ")}`;
   showDialog(`Mount ${module.type}`, element("p", answer.places.length ? `${fits}. Where?` : `${fits}, and no such port is free.`), list);
@@ -472,9 +474,8 @@ $("stage").addEventListener("dragover", (event) => {
   if (!dragged) return;
   event.preventDefault();
   $("drop")?.remove();
-  const port = nearestPort(event);
+  const port = dragged.port = nearestPort(event), ring = element("div");
   if (!port) return;
-  const ring = element("div");
   ring.id = "drop";
   ring.style.left = `${port.x}px`;
   ring.style.top = `${port.y}px`;
@@ -483,27 +484,23 @@ $("stage").addEventListener("dragover", (event) => {
 $("stage").addEventListener("drop", (event) => {
   if (!dragged) return;
   event.preventDefault();
-  const port = nearestPort(event), { module } = dragged;
+  const { module, port } = dragged;
   dragged = null;
   $("drop")?.remove();
   if (port) mount(module, port.place.mount);
   else choosePlace(module);
 });
 
-function filterModules() {
+$("filter").addEventListener("input", () => {
   const words = $("filter").value.toLowerCase().split(/\s+/);
   for (const item of $("modules").children) item.hidden = !words.every((word) => item.textContent.toLowerCase().includes(word));
-}
-$("filter").addEventListener("input", filterModules);
+});
 
 // -- generated files ---------------------------------------------------------------------------------
 
 for (const target of TARGETS) {
-  const label = element("label", ` ${target}`), box = element("input");
-  box.type = "checkbox";
-  box.value = target;
-  box.checked = target === "urdf" || target === "mjcf";
-  label.prepend(box);
+  const label = element("label", ` ${target}`), checked = target === "urdf" || target === "mjcf";
+  label.prepend(Object.assign(element("input"), { type: "checkbox", value: target, checked }));
   $("targets").append(label);
 }
 
@@ -513,22 +510,15 @@ $("build").addEventListener("click", async () => {
   const targets = [...$("targets").querySelectorAll("input:checked")].map((box) => box.value);
   $("built-note").textContent = "building…";
   const answer = await ask("build", { targets });
-  if (!answer) return;
-  const { files: built, warnings, error } = answer;
+  const { files: built, warnings, error } = answer ?? { files: [], warnings: [], error: "build again when the compiler has started" };
   $("built-note").textContent = [error || (built.length ? "" : "there is no robot without errors"), ...warnings].filter(Boolean).join("; ");
   $("download").hidden = !built.length;
-  $("built").replaceChildren(...built.map((entry) => {
-    const item = element("li"), button = element("button", `${entry.path} (${size(entry.bytes)})`);
-    button.type = "button";
-    button.addEventListener("click", () => showBuilt(entry.path));
-    item.append(button);
-    return item;
-  }));
+  $("built").replaceChildren(...built.map(({ path, bytes }) => element("li", button(`${path} (${size(bytes)})`, () => showBuilt(path)))));
 });
 
-function save(name, bytes) {
+function save(name, content) {
   const link = element("a");
-  link.href = URL.createObjectURL(new Blob([bytes]));
+  link.href = URL.createObjectURL(new Blob([content]));
   link.download = name;
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
@@ -537,12 +527,8 @@ function save(name, bytes) {
 async function showBuilt(path) {
   const answer = await ask("file", { path });
   if (!answer) return;
-  const button = element("button", "download"), name = path.split("/").pop();
-  button.type = "button";
-  button.addEventListener("click", () => save(name, answer.text !== undefined ? new TextEncoder().encode(answer.text) : bytesOf(answer.base64)));
-  const text = element("pre", answer.text ?? "(no text)");
-  text.tabIndex = 0;
-  showDialog(path, button, text);
+  const download = button("download", () => save(path.split("/").pop(), answer.text ?? bytesOf(answer.base64)));
+  showDialog(path, download, Object.assign(element("pre", answer.text ?? "(no text)"), { tabIndex: 0 }));
 }
 
 $("download").addEventListener("click", async () => {
@@ -570,15 +556,16 @@ $("diagnostics").addEventListener("click", (event) => {
   editor.show(diagnostic.span.start);
 });
 
+// The picture comes first, before the megabytes of the compiler.
 async function begin() {
-  startWorker();
+  $("wiring").parentElement.after($("outputs"));
   const { modules, examples: names } = await fetch("library.json").then((response) => response.json());
   $("modules").append(...modules.map(moduleItem));
-  for (const { name, title } of names) {
-    const option = element("option", title);
-    option.value = name;
-    $("example").append(option);
+  $("example").append(...names.map((name) => new Option(name)));
+  try {
+    await openLink();
+  } finally {
+    startWorker();
   }
-  await openLink();
 }
 begin();

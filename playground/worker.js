@@ -10,6 +10,24 @@ async function unpacked(name, type) {
 }
 
 const WASM = "application/wasm", SCRIPT = "text/javascript";
+const SIZE = 0 /*SIZE*/, STEP = 200000; // bytes until the start, and between two messages about them
+const plainFetch = self.fetch;
+let loaded = 0;
+
+// Tells the page how much is loaded.
+async function counted(request) {
+  const response = await request;
+  const count = (chunk, controller) => {
+    loaded += chunk.length;
+    if (!playground && loaded % STEP < chunk.length) postMessage(JSON.stringify({ kind: "loading", loaded, size: SIZE }));
+    controller.enqueue(chunk);
+  };
+  return new Response(response.body.pipeThrough(new TransformStream({ transform: count })), response);
+}
+
+self.fetch = (address, ...options) =>
+  String(address.url ?? address).endsWith("pyodide.asm.wasm") ? unpacked("pyodide.asm.wasm", WASM) : counted(plainFetch(address, ...options));
+
 const TICK = 10; // ms
 // No packages are loaded: all are in python.zip.
 const LOCK = null /*LOCK*/;
@@ -24,9 +42,6 @@ async function imported(name) {
 async function start() {
   const archive = fetch(new URL("python.zip", self.location)).then((response) => response.arrayBuffer());
   const asm = imported("pyodide.asm.mjs");
-  const fetchPlain = self.fetch;
-  self.fetch = (address, ...options) =>
-    String(address.url ?? address).endsWith("pyodide.asm.wasm") ? unpacked("pyodide.asm.wasm", WASM) : fetchPlain(address, ...options);
   const { loadPyodide } = await import("./pyodide.mjs");
   python = await loadPyodide({
     indexURL: new URL(".", self.location).href,

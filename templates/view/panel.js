@@ -1,11 +1,25 @@
-// The tables beside the 3D scene: parts, CAN nodes, joints and the selected part of a robot.
+// The 3D scene and the tables beside it: parts, CAN nodes, ports, joints and the selected part of a robot.
 "use strict";
+const $ = (id) => document.getElementById(id);
 
-function element(name, text, className) {
+function element(name, content, className) {
   const element = document.createElement(name);
-  if (text !== undefined) element.textContent = text;
+  if (content !== undefined) element.append(content);
   if (className) element.className = className;
   return element;
+}
+
+function button(content, onClick) {
+  const button = element("button", content);
+  button.addEventListener("click", onClick);
+  return button;
+}
+
+// A row of a table: texts or elements, and the numbers of the cells with numbers.
+function tableRow(cells, numeric = [], name = "td") {
+  const row = element("tr");
+  row.append(...cells.map((cell, n) => element(name, cell, numeric.includes(n) ? "number" : "")));
+  return row;
 }
 
 // Ids of other protocols than CANopen are a range of their own: the battery 1 and the controller 1 share no id.
@@ -30,20 +44,22 @@ function partsOf(design) {
 
 function partRows(design, select) {
   return [...partsOf(design)].filter(([, p]) => p.mass || p.ids.length).map(([name, part]) => {
-    const row = element("tr", undefined, "part"), cell = element("td"), button = element("button", name || "base");
-    button.type = "button";
+    const row = tableRow([element("button", name || "base"), part.mass ? kilograms(part.mass) : "", part.ids.join(", ")], [1]);
+    row.className = "part";
     row.dataset.part = name;
-    cell.append(button);
-    row.append(cell, element("td", part.mass ? kilograms(part.mass) : "", "number"), element("td", part.ids.join(", ")));
     row.addEventListener("click", () => select(name));
     return row;
   });
 }
 
 function nodeRows(design) {
-  return design.nodes.map((node) => {
-    const row = element("tr");
-    row.append(element("td", node.bus), element("td", node.name), element("td", idOf(node), "number"), element("td", node.serial || ""));
+  return design.nodes.map((node) => tableRow([node.bus, node.name, idOf(node), node.serial || ""], [2]));
+}
+
+function portRows(design) {
+  return design.ports.map((port) => {
+    const row = tableRow([port.name, port.kind, port.carries.join(", ") || "free"]);
+    row.className = port.carries.length ? "" : "free";
     return row;
   });
 }
@@ -92,3 +108,64 @@ function selectionLines(robot, name, part) {
     if (joint.type !== "fixed" && part.links.includes(joint.child)) addLine(`moved by ${joint.name}`);
   return lines;
 }
+
+// -- the robots and the selection ------------------------------------------------------------------
+
+let current = null, selected = null, jointSliders = [];
+const viewer = new ThorvaldViewer.Viewer($("canvas"), $("labels"), (robot, part) => {
+  if (!current) return;
+  if (viewer.robots[robot] !== current) showRobot(viewer.robots[robot]);
+  selectPart(part);
+});
+const number = () => viewer.robots.indexOf(current);
+if (!viewer.renderer) {
+  $("fault").textContent = "This browser does not support WebGL 2: there is no 3D picture, only the tables.";
+  $("fault").hidden = false;
+}
+
+// Shows a scene.  Joint positions, selection and camera stay.
+function showScene(scene) {
+  const part = selected, name = current?.name;
+  viewer.setScene(scene, scene.ghost);
+  const { robots } = viewer;
+  $("title").textContent = document.title = scene.name;
+  $("robots").hidden = robots.length < 2;
+  $("robot").replaceChildren(...robots.map((robot, n) => new Option(robot.name, n)));
+  showRobot(robots.find((robot) => robot.name === name) ?? robots[0]);
+  if (part !== null) selectPart(part);
+}
+
+function showRobot(robot) {
+  current = robot;
+  $("robot").value = number();
+  $("facts").textContent = robot.design.facts;
+  jointSliders = sliders(robot, (name, value) => { viewer.setJoint(number(), name, value); showSelection(); });
+  $("joints").replaceChildren(...jointSliders);
+  $("parts").replaceChildren(...partRows(robot.design, (name) => selectPart(selected === name ? null : name)));
+  $("nodes")?.replaceChildren(...nodeRows(robot.design));
+  $("port-rows")?.replaceChildren(...portRows(robot.design));
+  selectPart(null);
+}
+
+function selectPart(part) {
+  selected = part;
+  for (const row of $("parts").children) row.classList.toggle("chosen", row.dataset.part === part);
+  showSelection();
+  viewer.select(number(), part);
+}
+
+function showSelection() {
+  const part = selected === null ? undefined : partsOf(current.design).get(selected);
+  $("chosen").hidden = !part;
+  if (part) $("chosen").replaceChildren(...selectionLines(current, selected, part));
+}
+
+$("robot").addEventListener("change", () => showRobot(viewer.robots[$("robot").value]));
+$("names").addEventListener("change", () => viewer.setNames($("names").checked));
+$("zero").addEventListener("click", () => {
+  if (!current) return;
+  setZero(current);
+  for (const item of jointSliders) item.update();
+  showSelection();
+  viewer.redraw();
+});

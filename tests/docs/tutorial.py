@@ -369,7 +369,7 @@ def take_screenshot(output: str, picture: Path) -> None:
         page = browser.new_page(viewport={"width": 1000, "height": 600})
         page.goto(address)
         page.wait_for_selector("html[data-version]", timeout=WAIT)
-        page.wait_for_selector("#tables details", state="attached", timeout=WAIT)
+        page.wait_for_selector("#overview table", state="attached", timeout=WAIT)
         page.wait_for_timeout(1000)  # for the picture in 3D
         page.screenshot(path=picture)
 

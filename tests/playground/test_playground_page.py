@@ -173,13 +173,41 @@ def test_the_first_robot_and_its_size(visit: Visit) -> None:
     Handler.sent.clear()
     page = visit()
     assert sum(Handler.sent.values()) < LARGEST, Handler.sent
-    assert page.inner_text("#title") == "thorvald_4wd4ws_wide"
+    assert page.inner_text("#title") == "thorvald_car"
+    assert "accept:" not in page.evaluate("editor.text")
     assert page.get_attribute("#licences", "href") == "licences.txt"
-    assert "190.6 kg" in page.inner_text("#facts")
+    assert "127.6 kg" in page.inner_text("#facts")
     assert page.evaluate("Number(document.documentElement.dataset.triangles)") > 1000
-    page.wait_for_selector("#tables details", state="attached", timeout=WAIT)
+    page.wait_for_selector("#overview table", state="attached", timeout=WAIT)
     assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
     assert not page.evaluate("crossOriginIsolated")  # needs no special headers
+
+
+@pytest.mark.parametrize("size", [{"width": 1280, "height": 800}, PHONE], ids=["desk", "phone"])
+def test_a_picture_is_there_before_the_compiler(visit: Visit, size: dict[str, int]) -> None:
+    page = visit(robot=False, viewport=size, service_workers="block")
+    page.route("**/python.zip", lambda route: None)  # a network that has stopped
+    page.reload()
+    page.wait_for_selector("#status progress[value]", timeout=WAIT)
+    status = page.inner_text("#status")
+    assert re.fullmatch(r"starting the compiler: \d\.\d of [789]\.\d MB", status.strip())
+    wait_until(page, lambda: page.evaluate("viewer.robots.length") == 1)
+    assert page.evaluate("Number(document.documentElement.dataset.triangles)") > 1000
+    assert page.inner_text("#title") == "thorvald_car"
+    assert page.locator("#overview tr").count() == 8
+    assert "127.58 kg" in page.inner_text("#overview")
+    assert not page.evaluate("isReady")
+    page.click("#outputs summary")
+    page.click("#build")
+    assert "when the compiler has started" in page.inner_text("#built-note")
+    box = page.locator("#canvas").bounding_box()
+    assert box is not None
+    assert box["width"] * box["height"] >= 0.5 * size["width"] * size["height"]
+    sections = page.locator("aside > details:visible")
+    titles = [text.strip() for text in sections.locator("> summary").all_inner_texts()]
+    assert titles[:5] == ["Overview", "Checks", "Joints", "Wiring", "Files"]
+    opened = page.locator("aside > details[open] > summary").all_inner_texts()
+    assert [text.strip() for text in opened] == ["Overview", "Files"]
 
 
 def test_an_error_while_typing_its_fix_and_the_last_robot(page: Page) -> None:
@@ -221,6 +249,16 @@ def test_the_editor_proposes_keys_and_types(page: Page) -> None:
     page.wait_for_selector(".cm-tooltip-autocomplete", timeout=WAIT)
     page.get_by_text("caster/swivel", exact=False).first.click()
     assert "type: caster/swivel" in page.evaluate("editor.text")
+
+
+@pytest.mark.parametrize("keys", ["  x: {type: ", "  x:\ntype: "])
+def test_the_list_of_types_opens_after_their_key(page: Page, keys: str) -> None:
+    write(page, TEXT.partition("accept:")[0])
+    page.click(".cm-content")
+    page.keyboard.press("Control+End")
+    page.keyboard.type(keys)
+    page.get_by_role("option", name="assembly/fixed_drive", exact=False).wait_for(timeout=WAIT)
+    page.keyboard.press("Escape")
 
 
 def test_a_line_below_a_key_and_a_wrapped_row_are_indented(page: Page) -> None:
@@ -335,7 +373,7 @@ FRAGMENTS = ("#robot=AAAA", "#example=none", "#robot=%", "#robot=", "#x")
 @pytest.mark.parametrize("fragment", mostly_slow(FRAGMENTS, quick=2, slow=0))
 def test_a_link_that_cannot_be_read_opens_an_example(visit: Visit, fragment: str) -> None:
     page = visit(fragment)
-    assert page.inner_text("#title") == "thorvald_4wd4ws_wide"
+    assert page.inner_text("#title") == "thorvald_car"
     assert ("cannot be read" in page.inner_text("#note")) == fragment.startswith("#robot")
 
 
@@ -381,6 +419,7 @@ def test_modules_are_mounted_by_click_and_by_drag(page: Page) -> None:
     page.click("#library summary")
     page.fill("#filter", "fixed_drive")
     button = page.locator("#modules button:visible")
+    wait_until(page, lambda: button.locator("img").evaluate("image => image.naturalWidth") > 0)
     button.first.click()
     page.get_by_role("button", name="frame.mid_left", exact=True).click()
     wait_until(page, lambda: "mount: frame.mid_left}" in page.evaluate("editor.text"))
@@ -451,7 +490,7 @@ def test_the_page_is_accessible(
 ) -> None:
     axe = axe_script(tmp_path_factory.mktemp("axe"))
     page = visit(viewport=size, bypass_csp=True)
-    page.wait_for_selector("#tables details", state="attached", timeout=WAIT)
+    page.wait_for_selector("#overview table", state="attached", timeout=WAIT)
     problems: list[str] = []
 
     def check(state: str) -> None:
@@ -461,12 +500,15 @@ def test_the_page_is_accessible(
             problems.extend(violations(page, axe, f"{state} {colours}"))
 
     check("robot")
-    if size is PHONE:
-        page.click("#views button:has-text('Text')")
     page.click("#outputs summary")
     page.click("#build")
     page.wait_for_selector("#built button", timeout=WAIT)
+    page.evaluate(
+        "for (const section of document.querySelectorAll('aside > details')) section.open = true"
+    )
     check("files")
+    if size is PHONE:
+        page.click("#views button:has-text('Text')")
     page.click("#library summary")
     check("modules")
     write(page, TEXT.replace("tube_inset_y", "tube_inset"))

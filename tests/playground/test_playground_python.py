@@ -6,14 +6,17 @@ import base64
 import importlib.util
 import io
 import json
+import re
 import subprocess
 import sys
 import zipfile
+from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
+from packaging.requirements import Requirement
 
 from thorvaldc import __version__, backends
 from thorvaldc.compiler.output.writer import MANIFEST, write_build
@@ -268,3 +271,23 @@ def test_the_page_has_the_modules_that_it_loads() -> None:
     files = [name.replace(".", "/") for name in loaded]
     paths = [f"{f}.py" if (ROOT / f"{f}.py").is_file() else f"{f}/__init__.py" for f in files]
     assert [path for path in paths if unused.match(path)] == []
+
+
+def test_the_playground_is_built_with_the_packages_that_it_contains() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    (target,) = re.findall(r"^playground: \$\(if \$\(READY\),(.+)\)$", makefile, re.M)
+    (recipe,) = re.findall(rf"^{re.escape(target)}:.*\n((?:\t.*\n)+)", makefile, re.M)
+    (names,) = re.findall(r"bin\) ((?:\w+ )+)\$\(NOT_INSTALLED\)", recipe)
+    installed: set[str] = set()
+    more = set(names.split())
+    while more := more - installed:
+        installed |= more
+        texts = [text for name in more for text in metadata.requires(name) or ()]
+        requirements = [Requirement(text) for text in texts]
+        more = {
+            r.name.lower()
+            for r in requirements
+            if r.marker is None or r.marker.evaluate({"extra": ""})
+        }
+    contained = {name.lower() for name in module("build").PACKAGES}
+    assert contained <= installed <= contained | {"rpds-py", "typing-extensions"}

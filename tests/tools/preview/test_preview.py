@@ -111,7 +111,7 @@ def page(request: pytest.FixtureRequest, preview: Preview, browser: Browser) -> 
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(preview.url)
     page.wait_for_selector("html[data-version]", timeout=WAIT)
-    page.wait_for_selector("#tables details", state="attached", timeout=WAIT)
+    page.wait_for_selector("#overview table", state="attached", timeout=WAIT)
     yield page
     page.close()
     assert errors == []
@@ -161,6 +161,7 @@ def test_a_change_an_error_and_the_way_back(preview: Preview, page: Page) -> Non
 
 @pytest.mark.slow
 def test_joints_move_and_keep_their_positions(preview: Preview, page: Page) -> None:
+    page.click("summary:has-text('Joints')")
     slider = page.locator("input[data-joint=fl_steering_joint]")
     slider.focus()
     page.keyboard.press("ArrowRight")
@@ -194,9 +195,10 @@ def test_joints_move_and_keep_their_positions(preview: Preview, page: Page) -> N
 
 @pytest.mark.slow
 def test_each_control_is_reached_with_the_keyboard(page: Page) -> None:
+    page.eval_on_selector("details:has(#joints)", "joints => { joints.open = true; }")
     page.evaluate("document.activeElement.blur()")
     seen = set()
-    for _ in range(12):
+    for _ in range(16):
         page.keyboard.press("Tab")
         seen.add(page.evaluate("document.activeElement.id"))
     assert {"canvas", "drive", "names", "frames", "sensors", "zero"} <= seen
@@ -272,7 +274,7 @@ def test_the_page_is_accessible(
             found.extend(violations(page, axe, f"{state} {colours}"))
 
     page.goto(preview.url)
-    page.wait_for_selector("#tables details", state="attached", timeout=WAIT)
+    page.wait_for_selector("#overview table", state="attached", timeout=WAIT)
     page.click("#names")
     page.click("#ports")
     check("robot")

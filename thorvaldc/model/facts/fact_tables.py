@@ -60,6 +60,26 @@ def fact_tables(facts: RobotFacts) -> tuple[FactTable, ...]:
     return tuple(table for table in tables if table.rows)
 
 
+def overview(facts: RobotFacts) -> FactTable:
+    """Return the numbers that are asked for first."""
+    size, driving, least = facts.size, facts.driving, facts.stability.least
+    turn, uphill, energy = driving.turn, facts.slopes and facts.slopes.forwards, facts.energy.energy
+    return _values(
+        "overview",
+        "",
+        [
+            ("size", f"{size.length:.2f} x {size.width:.2f} x {size.height:.2f} m"),
+            ("mass", _mass_text(facts.mass)),
+            ("ground clearance", _length(size.ground_clearance)),
+            ("top speed", _speed(driving.forwards)),
+            ("turning circle", "does not turn" if turn is None else _length(turn.outer_circle)),
+            ("tips over at", "does not stand" if least is None else _angle(least.angle)),
+            ("steepest slope", _angle(uphill.steepest) if uphill else None),
+            (f"time at {STATED_USE:.0f} W", None if energy is None else f"{_hours(energy):.1f} h"),
+        ],
+    )
+
+
 class _Column(NamedTuple):
     """A column of a table: its title, and a function that returns the text for an item."""
 
@@ -326,6 +346,10 @@ STATED_USE = 500.0
 """Power (W) for which the time and the range are shown, as an example."""
 
 
+def _hours(energy: float) -> float:
+    return energy / STATED_USE / 3600.0
+
+
 def _energy(energy: electrics.Energy) -> FactTable:
     several = len(energy.batteries) > 1
     rows: list[tuple[str, str | None]] = [] if energy.batteries else [("battery", "none")]
@@ -343,7 +367,7 @@ def _energy(energy: electrics.Energy) -> FactTable:
         rows.append(("rolling resistance", f"{energy.rolling_force:.1f} N on level ground"))
         rows.append(("energy for rolling", f"{per_kilometre:.1f} Wh/km"))
     if energy.energy is not None:
-        hours = energy.energy / STATED_USE / 3600.0
+        hours = _hours(energy.energy)
         rows.append((f"at {STATED_USE:.0f} W", f"{hours:.1f} h, {3.6 * hours:.0f} km at 1 m/s"))
     if energy.standby is not None:
         current = energy.standby_current

@@ -20,7 +20,7 @@ from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.renderers import render_text
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.facts.fact_tables import fact_tables
+from thorvaldc.model.facts.fact_tables import fact_tables, overview
 from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.plugins import data_folder
 from thorvaldc.simulation.web_viewer import VIEWER, MeshCache, MeshData, page_data, viewer_script
@@ -36,6 +36,12 @@ MAX_DIAGNOSTICS = 50
 
 Signature = dict[str, tuple[int, int]]
 
+SECTIONS = {
+    "overview": "overview",
+    **dict.fromkeys(("wheels", "stability", "slopes", "standing"), "checks"),
+    **dict.fromkeys(("buses", "addresses", "wiring"), "wiring"),
+}
+"""Sections of the page for tables of facts; the section of the others is the last one."""
 HOST = "/*HOST*/"
 """Placeholder in the template for the script that connects the page with its host."""
 WORKBENCH = "<!--WORKBENCH-->"
@@ -135,14 +141,16 @@ class CompiledRobot:
     def details(self) -> dict[str, Any]:
         """Returns the facts about the last model without errors, and what changed in it."""
         if isinstance(self.model, Fleet):
-            robots = [(f"{place.name}.", place.robot) for place in self.model.placements]
+            robots = [(place.name, place.robot) for place in self.model.placements]
         else:
             robots = [] if self.model is None else [("", self.model)]
         tables = []
-        for prefix, robot in robots:
-            for table in fact_tables(robot_facts(robot)):
-                title = f"{prefix[:-1]}: {table.title}" if prefix else table.title
-                tables.append({**asdict(table), "key": f"{prefix}{table.key}", "title": title})
+        for name, robot in robots:
+            facts = robot_facts(robot)
+            for table in (overview(facts), *fact_tables(facts)):
+                section = SECTIONS.get(table.key, "more")
+                title = ": ".join(filter(None, (name, table.title)))
+                tables.append({**asdict(table), "section": section, "title": title})
         difference = None
         if self._before is not None and self.model is not None:
             difference = compare_models(self._before, self.model)
