@@ -180,7 +180,10 @@ class BaseDriverNode(GuardedLifecycleNode):
                 robot.close()
                 raise
             self._low_battery.cycle_done(robot)
+            reported = self._reported
             self._publish(robot)
+            if self._reported != reported:
+                self._log_fault(robot)
             self._watch_bus(robot)
         if time.monotonic() >= self._next_report:
             self._report()
@@ -435,10 +438,6 @@ class BaseDriverNode(GuardedLifecycleNode):
         if summary != self._reported:
             self._reported = summary
             self._next_report = 0.0
-            fault = dict(state_rows(robot.state())).get(FAULT, "")
-            if fault and fault != self._logged_fault:
-                self.get_logger().error(fault)
-            self._logged_fault = fault
 
     def _publish_device_data(self, robot: DrivenRobot, stamp: Any) -> None:
         for topic, publisher in self._device_topics.items():
@@ -497,6 +496,12 @@ class BaseDriverNode(GuardedLifecycleNode):
                 self._battery.publish(messages.battery_message(battery, reported, stamp, frame))
 
     # -- supervision ---------------------------------------------------------------------------
+
+    def _log_fault(self, robot: DrivenRobot) -> None:
+        fault = dict(state_rows(robot.state())).get(FAULT, "")
+        if fault and fault != self._logged_fault:
+            self.get_logger().error(fault)
+        self._logged_fault = fault
 
     def _watch_clock(self, robot: DrivenRobot) -> None:
         """Stops the robot while the ROS clock of another node stands still or jumps."""

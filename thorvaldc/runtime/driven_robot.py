@@ -484,6 +484,7 @@ def robot_state(robot: ArmableRobot, now: float) -> dict[str, Any]:
     """
     driver, multiplexer = robot.driver, robot.multiplexer
     state, selected = driver.state, multiplexer.select(now)
+    base = robot.base.values()
     values = {
         "robot": driver.robot.name,
         "time": state.time if state.time > 0.0 else 0.0,
@@ -503,8 +504,8 @@ def robot_state(robot: ArmableRobot, now: float) -> dict[str, Any]:
         "pose": state.pose._asdict(),
         "joints": _joints(robot),
         "age": None if state.joints is None else now - state.joints.time,
-        "fault": state.fault,
-        "fault_code": CODES["bus-stopped"].number if state.fault else "",
+        "fault": (fault := base.get("fault") or state.fault),
+        "fault_code": base.get("fault_code") or (CODES["bus-stopped"].number if fault else ""),
         "held": state.hold_reason,
         "limited_by": driver.limit_of(state.commanded_twist),
         "not_followed": state.not_followed,
@@ -513,9 +514,7 @@ def robot_state(robot: ArmableRobot, now: float) -> dict[str, Any]:
         "cycles": robot.timing.cycles,
         "overruns": robot.timing.overruns,
     }
-    base = robot.base.values()
-    ours = {key: base.get(key) or values[key] for key in ("fault", "fault_code")}
-    return {**values, **base, **ours}
+    return {**values, **base, **{key: values[key] for key in ("fault", "fault_code")}}
 
 
 def _joints(robot: ArmableRobot) -> dict[str, dict[str, float | None]]:

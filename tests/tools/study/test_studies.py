@@ -331,7 +331,7 @@ def test_the_winning_file_extends_the_robot_file(run: Command) -> None:
 thorvaldc: 1
 extends: ../good.yaml
 name: track_1
-modules.frame.params.width: "0.8 m"
+modules.frame.params.width: 0.8 m
 modules.fl.params.gear_ratio: 30:1
 modules.fr.params.gear_ratio: 30:1
 """
