@@ -392,6 +392,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV945", "audit-joint-unknown", "a file names a joint that the robot does not have"),
     _error("TV946", "audit-description-broken", "a description is not a tree of known links"),
     _warning("TV947", "audit-frame-unknown", "a node uses a frame that does not exist"),
+    _warning("TV948", "audit-transform-owners", "two nodes publish the transform of odometry"),
     _warning("TV950", "audit-stamped", "some nodes use TwistStamped, and others Twist"),
     _warning("TV951", "audit-speed", "a planner demands a speed beyond the limits"),
     _warning("TV953", "audit-descriptions-differ", "two descriptions of a robot differ"),

@@ -50,7 +50,11 @@ def _facts_of(plugin: Element) -> list[Fact]:
     for key, child in values:
         kind, factor = _GEOMETRY.get(key, ("", 0.0))
         length = numbers(child.text, 1)
-        if kind and length is not None:
+        if key == "publishodomtf" and child.text in ("true", "1"):
+            frames = [frame.text.strip("/") for name, frame in values if name == "odometryframe"]
+            shown, names = f"{subject} ({child.tag})", tuple(frames or ["odom"])
+            facts.append(Fact("plug-in transform", shown, True, child.span, "", names))
+        elif kind and length is not None:
             facts.append(Fact(kind, subject, factor * length[0], child.span, "m", sides[kind]))
     return facts
 

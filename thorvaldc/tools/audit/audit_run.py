@@ -43,6 +43,7 @@ RULES: tuple[Callable[[Evidence, Report], None], ...] = (
     drive_rules.check_sides,
     name_rules.check_joint_names,
     name_rules.check_frames,
+    name_rules.check_transform_owners,
     drive_rules.check_stamps,
     drive_rules.check_speeds,
     drive_rules.check_wheel_speeds,

@@ -1,12 +1,15 @@
-"""Rules about names: joints, files and frames that files name must exist."""
+"""Rules about names: joints, files and frames that files name must exist.
+
+Each transform has one owner.
+"""
 
 from __future__ import annotations
 
 import os
 
 from thorvaldc.compiler.descriptions.facts import Fact, FileDescription
-from thorvaldc.diagnostics import Report, did_you_mean
-from thorvaldc.tools.audit.audit_facts import Evidence, affinity
+from thorvaldc.diagnostics import Label, Report, did_you_mean
+from thorvaldc.tools.audit.audit_facts import Evidence, affinity, closest
 from thorvaldc.tools.audit.launch_files import resolved
 from thorvaldc.tools.audit.parameter_facts import published_frames
 
@@ -92,4 +95,29 @@ def _report_frame(fact: Fact, known: set[str], report: Report) -> None:
             "add the link, or a static transform to it",
             fixable=False,
         ),
+    )
+
+
+def check_transform_owners(evidence: Evidence, report: Report) -> None:
+    """Reports a drive controller and an estimator that both publish the transform of odometry."""
+    controllers = evidence.stated("controller transform")
+    estimators = evidence.stated("estimator transform")
+    for fact in estimators:
+        nearby = closest([c for c in controllers if c.names == fact.names], fact.span.file)
+        if fact.value and nearby and all(controller.value for controller in nearby):
+            _report_owners(fact, nearby[0], "enable_odom_tf of the controller", report)
+    for _, plugin in evidence.described("plug-in transform"):
+        nearby = closest([e for e in estimators if e.names == plugin.names], plugin.span.file)
+        if nearby and all(estimator.value for estimator in nearby):
+            _report_owners(nearby[0], plugin, "publish_odom_tf of the plug-in", report)
+
+
+def _report_owners(estimator: Fact, other: Fact, switch: str, report: Report) -> None:
+    report.add(
+        "audit-transform-owners",
+        f"{estimator.subject} and {other.subject} both publish the transform from"
+        f" `{estimator.names[0]}` to the robot, which then jumps between two poses",
+        estimator.span,
+        hint=f"let the estimator publish it, and set {switch} to false",
+        labels=[Label(other.span, "the other owner")],
     )

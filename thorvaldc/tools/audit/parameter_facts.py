@@ -10,7 +10,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Span
 from thorvaldc.tools.audit.audit_facts import Evidence
 
-# -- statements about frames, stamps and speeds -----------------------------------------
+# -- statements about frames, transforms, stamps and speeds -----------------------------
 
 # Frames of the robot itself, which a description must have.
 BASE_FRAMES = (
@@ -37,6 +37,9 @@ def node_facts(section: ParameterSection) -> list[Fact]:
     for name, node in section.values.items():
         if not (has_multiplexer and isinstance(node.value, bool)):
             facts += _parameter_facts(subject, name, node.value, node.span)
+    transform = _odometry_transform(section)
+    if transform is not None:
+        facts.append(transform)
     return facts + _speeds(section, subject)
 
 
@@ -63,6 +66,33 @@ def _parameter_facts(subject: str, name: str, value: Any, span: Span) -> list[Fa
 def is_drive_controller(section: ParameterSection) -> bool:
     """Whether a node is a drive controller of ros2_controllers."""
     return any(name in section.values for name in (*LEFT, *TRACTION))
+
+
+def is_estimator(section: ParameterSection) -> bool:
+    """Whether a node is an EKF or UKF of robot_localization."""
+    inputs = ("odom0", "imu0", "twist0", "pose0")
+    return "base_link_frame" in section.values and any(i in section.values for i in inputs)
+
+
+def _odometry_transform(section: ParameterSection) -> Fact | None:
+    """Returns whether a node publishes the transform from the odometry frame to the robot."""
+    subject = f"`{section.short_name}`"
+    if is_estimator(section):
+        parameter, kind = "publish_tf", "estimator"
+        odom = section.text("odom_frame") or "odom"
+        if (section.text("world_frame") or odom) != odom:
+            return None  # it publishes map -> odom
+    elif is_drive_controller(section) or "enable_odom_tf" in section.values:
+        parameter, kind = "enable_odom_tf", "controller"
+        odom = section.text("odom_frame_id") or "odom"
+    else:
+        return None
+    node = section.values.get(parameter)
+    span = node.span if node is not None else section.span
+    shown = f"{subject} ({parameter}{'' if node is not None else ' is true by default'})"
+    # Drive controllers and estimators publish the transform unless it is switched off.
+    enabled = section.flag(parameter) is not False
+    return Fact(f"{kind} transform", shown, enabled, span, "", (odom.strip("/"),))
 
 
 _LIMITS = {
