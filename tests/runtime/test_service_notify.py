@@ -125,3 +125,11 @@ def test_a_battery_that_is_charged_or_silent_is_not_empty(
         assert not service.run(2.0 * LOW_TIME)
     service.inject("mute")
     assert not service.run(3.0 * LOW_TIME)
+
+
+def test_a_folder_that_cannot_be_written_is_one_event_per_minute(tmp_path: Path) -> None:
+    service = Service(tmp_path / "missing")
+    service.inject("battery_charge", charge=0.02)
+    assert not service.run(1.5 * LOW_TIME)
+    texts = [event.text for event in service.rig.driven.events]
+    assert sum(1 for text in texts if "is switched off" in text) == 1

@@ -91,7 +91,8 @@ class LowBattery:
             for source in driven.base.sources()
         )
         self._low_since = min(self._low_since, now) if is_low else math.inf
-        if now - self._low_since >= LOW_TIME and not self._file.exists():
+        if now - self._low_since >= LOW_TIME:
+            self._low_since = now  # asks again if nothing happens
             driven.note("the computer is switched off: the battery is empty")
             with contextlib.suppress(OSError):  # a full disk must not stop the robot
                 self._file.touch()
