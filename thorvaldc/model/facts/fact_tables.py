@@ -74,7 +74,7 @@ def overview(facts: RobotFacts) -> FactTable:
             ("top speed", _speed(driving.forwards)),
             ("turning circle", "does not turn" if turn is None else _length(turn.outer_circle)),
             ("tips over at", "does not stand" if least is None else _angle(least.angle)),
-            ("steepest slope", _angle(uphill.steepest) if uphill else None),
+            ("climbs", _angle(uphill.steepest) if uphill else None),
             (f"time at {STATED_USE:.0f} W", None if energy is None else f"{_hours(energy):.1f} h"),
         ],
     )
