@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from thorvaldc.compiler.source import reader
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import Node, yaml_text
 from thorvaldc.compiler.source.reader import read_file, read_text
 from thorvaldc.diagnostics import Report
 
@@ -240,3 +240,15 @@ def test_files(tmp_path: Path) -> None:
     assert code(tmp_path) == "file-is-a-directory"
     assert code(tmp_path / ("x" * 300)) == "file-unreadable"
     assert code(Path("a\0b")) == "file-unreadable"
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["- a", "-", "x ", "1 ", ".inf", "-.INF", "--- a", "...", "a: b", "a:", "\x85", "0x12", "yes"],
+)
+def test_a_text_that_yaml_reads_otherwise_gets_quotes(text: str) -> None:
+    report = Report()
+    document = read_text(f"key: {yaml_text(text)}\n".encode(), "", report)
+    assert document is not None
+    assert (document.plain(), list(report)) == ({"key": text}, [])
+    assert yaml_text("0.9 m") == "0.9 m"

@@ -294,3 +294,30 @@ def test_entries_of_robot_files_in_a_fleet_and_none_of_a_build(thorvaldc: Comman
         Path(name).write_text(text, encoding="utf-8")
     out = thorvaldc("diff", "b.yaml", "c.yaml").out
     assert "a: robot file\n  ~ modules.frame.params.width: 0.9 m -> 1 m\n" in out
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "printed"),
+    [
+        (
+            'computer: {can: {main: {serial: "00E1"}}}',
+            'computer: {can: {main: {serial: "0E1"}}}',
+            'computer.can.main.serial: "00E1" -> "0E1"',
+        ),
+        (
+            "purchase: {fl.controller: {price: 100 EUR}}",
+            "purchase: {fl.controller: {price: 200 EUR}}",
+            "purchase: {fl.controller: {price: 100 EUR}} -> {fl.controller: {price: 200 EUR}}",
+        ),
+    ],
+)
+def test_an_entry_can_be_pasted(thorvaldc: Command, first: str, second: str, printed: str) -> None:
+    """Two serial numbers may be one number; a dot in a key is no part of a path."""
+    Path("one.yaml").write_text(f"{GOOD}{first}\n")
+    Path("two.yaml").write_text(f"{GOOD}{second}\n".replace("name: good", "name: two"))
+    out = thorvaldc("diff", "one.yaml", "two.yaml").out
+    assert f"  ~ {printed}\n" in out
+    key, _, value = printed.partition(": ")
+    unit = f"thorvaldc: 1\nextends: one.yaml\nname: two\n{key}: {value.partition(' -> ')[2]}\n"
+    Path("unit.yaml").write_text(unit)
+    assert thorvaldc("diff", "unit.yaml", "two.yaml", "--exit-code").status == 0

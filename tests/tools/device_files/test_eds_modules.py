@@ -122,7 +122,7 @@ def test_a_battery_and_its_charger_have_the_units_of_their_profiles(thorvaldc: C
     assert values["voltage"] == ("V", 48.0)
     assert values["temperature"] == ("degC", 25.0)
     assert values["state_of_charge"] == ("%", 75.0)
-    assert values["object_6070"] == ("A", 12.5)
+    assert values["requested_charge_current"] == ("A", 12.5)
     assert values["object_6051"] == ("Ah", 6144.0)
     assert "battery: {present: true, link: housing}" in text
     assert "# CiA 418 has no current of the battery" in text

@@ -132,6 +132,27 @@ def test_axes_before_sdf_1_5_are_in_the_frame_of_the_model(folder: Path) -> None
     assert wheels(result, built, ("left", "right")) == pytest.approx(0.42, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("<pose>-0.05 0.01 0.02", '<pose relative_to="chassis">-0.05 0.01 0.02'),
+        ("<pose>-0.05 0.01 0.02", '<pose relative_to="__model__">-0.05 0.01 0.12'),
+        ("<pose>0.1 0 0.12 0", '<pose relative_to="left_joint">0.1 -0.11 -0.21 1.5707963267948966'),
+        ('degrees="true">0.0', 'degrees="1">0.0'),
+        ("<pose>0 0 0.1 0 0 0", '<pose rotation_format="quat_xyzw">0 0 0.1 0 0 0 2'),
+        ("<parent>chassis</parent><child>right", "<parent>top</parent><child>right"),
+    ],
+)
+def test_poses_have_several_forms(folder: Path, old: str, new: str) -> None:
+    """The frame of the joint `left` has its y axis upwards: [x, y, z] there is [x, z, -y]."""
+    text = (folder / "cart.sdf").read_text()
+    assert old in text
+    frame = '<frame name="top" attached_to="chassis"><pose>0 0 0.4 0 0 0</pose></frame>'
+    text = text.replace("<link", f"{frame}<link", 1)
+    (folder / "cart.sdf").write_text(text.replace(old, new))
+    test_an_sdf_file_is_what_its_numbers_say(folder)
+
+
 @pytest.mark.parametrize("name", ["cart.xml", "cart.sdf"])
 def test_it_drives_a_metre(folder: Path, name: str) -> None:
     _, robot, _ = imported(folder / name)
@@ -176,6 +197,17 @@ def test_our_own_build_has_the_mass_of_the_robot(tmp_path: Path, name: str, file
         ("cart.sdf", "<mass>8.25", "<mass>heavy", "extra-number", 9, "heavy"),
         ("cart.sdf", "<box><size>", "<plane><size>", "import-value", 12, "mismatched tag"),
         ("cart.sdf", "<wheel_radius>0.11", "<wheel_radius>0.13", "audit-wheel-radius", 41, "0.13"),
+        ("cart.sdf", "<pose>0 0 0.1 0 0 0<", "<pose>0 0 0.1 0 0<", "import-value", 6, "six finite"),
+        ("cart.sdf", "<pose>0 0 0.1 0 0 0<", "<pose>0 0 nan 0 0 0<", "import-value", 6, "finite"),
+        ("cart.sdf", 'relative_to="chassis"', 'relative_to="chasis"', "import-value", 32,
+         "no link, joint or frame `chasis`"),
+        ("cart.sdf", 'expressed_in="chassis"', 'expressed_in="chasis"', "import-value", 36,
+         "no link, joint or frame `chasis`"),
+        ("cart.sdf", 'relative_to="chassis"', 'relative_to="left"', "import-value", 31, "circle"),
+        ("cart.sdf", "<xyz>0 0 1<", "<xyz>0 0 nan<", "import-value", 33, "three finite numbers"),
+        ("cart.sdf", "<plugin ", '<model name="arm"/><plugin ', "import-left-out", 39, "`arm`"),
+        ("cart.xml", 'pos="-0.25 0 -0.06"', 'pos="-0.25 0 nan"', "import-value", 20, "finite"),
+        ("cart.xml", "<light ", "<lihgt ", "import-left-out", 13, "<lihgt>"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_has_a_place(
@@ -187,6 +219,21 @@ def test_what_is_wrong_has_a_place(
     result = import_urdf(folder / file)
     places = [place for *place, message in said(result, code) if text in message]
     assert [file, line] in places, [(d.span, d.message) for d in result.report]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('meshdir="../meshes"/>', 'meshdir="../none"/><compiler meshdir="../meshes"/>'),
+        ('meshdir="../meshes"/>', 'meshdir="../meshes" strippath="true"/>'),
+    ],
+)
+def test_the_folder_of_meshes(folder: Path, old: str, new: str) -> None:
+    text = (folder / "cart.xml").read_text()
+    assert old in text
+    name = "../elsewhere/lid.stl" if "strippath" in new else "lid.stl"
+    (folder / "cart.xml").write_text(text.replace(old, new).replace("lid.stl", name))
+    test_an_mjcf_file_is_what_mujoco_says(folder)
 
 
 def test_the_command_takes_the_files(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

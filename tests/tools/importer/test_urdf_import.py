@@ -325,7 +325,7 @@ def test_what_is_not_recognised_or_assumed_is_named(tmp_path: Path) -> None:
     assert any("`lift`" in message for *_, message in said(result, "import-assumed"))
     assert any("`contact`" in message for *_, message in said(result, "import-left-out"))
     assert any("which wheels have motors" in m for *_, m in said(result, "import-assumed"))
-    assert "# Assumed, not in the file: speed 1 m/s." in path.read_text()
+    assert "# Assumed, not read from the file: speed 1 m/s." in path.read_text()
     robot, _ = compiled(path)
     assert not any(
         j.name == "lift" or ("hand" in j.name and j.type != "fixed") for j in robot.joints

@@ -341,9 +341,35 @@ modules.fr.params.gear_ratio: 30:1
     assert "best/robot.yaml:" not in checked.out.replace("best/robot.yaml: track_1", "")
     robot = thorvaldc.load("good.yaml", set={"modules.frame.params.width": "0.8 m"})
     assert thorvaldc.load("best/robot.yaml").inertial.mass == robot.inertial.mass
-    Path("mine.yaml").write_text(UNPOWERED)
-    refused = run("study", "best", "study.yaml", "-o", "mine.yaml")
-    assert (refused.status, Path("mine.yaml").read_text()) == (3, UNPOWERED)
+    for mine in (UNPOWERED, f"# Design notes\n{UNPOWERED}"):
+        Path("mine.yaml").write_text(mine)
+        refused = run("study", "best", "study.yaml", "-o", "mine.yaml")
+        assert (refused.status, Path("mine.yaml").read_text()) == (3, mine)
+    for output, reason in (
+        ("good.yaml", "will not overwrite good.yaml, which is that of the study"),
+        ("missing/best.yaml", "there is no folder missing"),
+        ("good.yaml/best.yaml", "there is no folder good.yaml"),
+    ):
+        refused = run("study", "best", "study.yaml", "-o", output)
+        assert (refused.status, reason in refused.err) == (3, True), refused.err
+
+
+def test_the_winning_file_of_a_unit(run: Command) -> None:
+    """The unit has an entry of its design; the robot has the name that the winner would have."""
+    lines = ["thorvaldc: 1", "extends: good.yaml", "name: track_1", *["# a note"] * 8]
+    Path("unit.yaml").write_text("\n".join([*lines, "modules.fl.can: 1", ""]))
+    text = STUDY.replace("good.yaml", "unit.yaml").replace("grid, number: 81", "grid, number: 2")
+    Path("study.yaml").write_text(text.replace("at_least: 50 deg", "at_least: 10 deg"))
+    assert run("study", "run", "study.yaml", "-j", "1").status == 0
+    assert run("study", "best", "study.yaml", "-o", "best.yaml").status == 0
+    written = Path("best.yaml").read_text().partition("in rad.\n")[2].splitlines()
+    assert written == [
+        *lines[:1],
+        "extends: unit.yaml",
+        lines[2],
+        "modules.frame.params.width: 0.8 m",
+    ]
+    assert run("check", "best.yaml").status == 0
 
 
 def test_the_front_has_the_points_that_none_dominates() -> None:

@@ -238,7 +238,10 @@ def key_kind(text: str) -> str | None:
 # -- text of a YAML document, for hints that propose a change ----------------------
 
 # Texts that need no quotes in a YAML flow mapping, such as `frame.front_left`, `650 mm` or `42:1`.
-_NEEDS_NO_QUOTES = r"(?a)(?!.*:(\s|$))[\w.+/-][\w.,:;+*/^%° ()'=-]*"
+_NEEDS_NO_QUOTES = (
+    r"(?ai)(?!.*(\s|:)$|.*:\s|-(\s|$)|---|\.\.\.|[-+]?\.(inf|nan)$)"
+    r"[\w.+/-][\w.,:;+*/^%° ()'=-]*"
+)
 
 
 def yaml_text(value: object) -> str:
@@ -251,7 +254,7 @@ def yaml_text(value: object) -> str:
         return "[" + ", ".join(map(yaml_text, value)) + "]"
     if isinstance(value, str):
         plain = "," not in value and re.fullmatch(_NEEDS_NO_QUOTES, value) and is_plain_text(value)
-        return value if plain else json.dumps(value, ensure_ascii=False)
+        return value if plain else json.dumps(value, ensure_ascii=not value.isprintable())
     return str(value)
 
 

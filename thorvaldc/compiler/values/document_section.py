@@ -216,7 +216,7 @@ class Section:
         if kind.unit == "rad" and value:
             shown += f" ({math.degrees(value):.6g} deg)"
         hint = None
-        if limits == {"x-minimum": 0.0, "x-maximum": 1.0} and 1.0 < value <= 100.0:
+        if limits == {"x-minimum": 0.0, "x-maximum": 1.0} and 2.0 <= value <= 100.0:
             hint = Proposal(f"did you mean `{value:.6g} %`?", f"{value:.6g} %")
         self._reader.report.add(
             schema.get("x-code", "out-of-range"),

@@ -145,6 +145,8 @@ def is_same_value(first: Node, second: Node) -> bool:
         (value, unit), (other, of_other) = (
             parse_with_dimension(str(node.value)) for node in (first, second)
         )
+        if unit is None and of_other is None and isinstance(first.value, str):
+            return first.value == str(second.value)  # `01` and `1` are two serial numbers
         return value == other and (unit == of_other or None in (unit, of_other))
     except UnitError:
         return repr(first.plain()) == repr(second.plain())

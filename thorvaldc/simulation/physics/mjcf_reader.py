@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -38,6 +39,9 @@ _LEFT_OUT = (
     *("material", "hfield", "target", "user", "fluidshape", "fitscale"),
     *("meshdir", "assetdir", "texturedir", "strippath", "content_type"),
 )
+_WITH_MESHES = ("fitscale",)
+_NAMES = ("name", "class", "childclass", "file", "mesh", "model", "joint", "body", "geom", "site")
+_NOT_FINITE = re.compile(r"(?i)(?<![\w.])[-+]?(?:nan|inf(?:inity)?)(?![\w.])")
 
 
 class MjcfParts(NamedTuple):
@@ -117,7 +121,11 @@ class _Text:
         if len(self.sources) > MAX_PARTS or depth > MAX_DEPTH:
             text = f"it has more than {MAX_PARTS} elements or {MAX_DEPTH} levels, with its includes"
             raise UnreadableFileError(text)
-        stated = {n: v for n, v in element.attributes.items() if n not in _LEFT_OUT}
+        kept = _WITH_MESHES if self.read_mesh is not None else ()
+        stated = {n: v for n, v in element.attributes.items() if n in kept or n not in _LEFT_OUT}
+        for name, value in stated.items():
+            if _NOT_FINITE.search(value) and name not in _NAMES:
+                raise UnreadableFileError(f"`{name}` is not a finite number", element.span)
         if element.tag == "mesh" and "file" in stated:
             stated |= {"name": mesh_name(element), "file": _mesh_file(element)}
         elif element.tag == "mesh" and {"vertex", "builtin"} & stated.keys():
@@ -126,7 +134,8 @@ class _Text:
         text = f"<{element.tag}{''.join(f' {n}={quoteattr(v)}' for n, v in stated.items())}>"
         yield "\n" if is_include else f"{text}\n"
         for child in self.include(element).children if is_include else element.children:
-            if child.tag in self.read:
+            is_terrain = child.tag == "geom" and child.attributes.get("type") == "hfield"
+            if child.tag in self.read and not is_terrain:
                 yield from self.lines(child, depth + 1)
             else:
                 self.others.append(child)
@@ -137,13 +146,17 @@ class _Text:
         if self.read_mesh is None:
             return []
         compilers = [e.attributes for e in self.sources if e.tag == "compiler"]
-        folders = [c.get("meshdir", c.get("assetdir")) for c in compilers]
+        # The last one of several counts.
+        folders = [c.get("meshdir", c.get("assetdir")) for c in reversed(compilers)]
         folder = next((name for name in folders if name is not None), "")
-        meshes = [e for e in self.sources if e.tag == "mesh" and "file" in e.attributes]
-        return [
-            (mesh_name(e), *self.read_mesh(os.path.join(folder, e.attributes["file"]), e))
-            for e in meshes
-        ]
+        strips = [c["strippath"] == "true" for c in reversed(compilers) if "strippath" in c]
+        files: list[tuple[str, str, bytes]] = []
+        for element in self.sources:
+            if element.tag == "mesh" and (name := element.attributes.get("file")):
+                name = os.path.basename(name) if strips[:1] == [True] else name
+                path, data = self.read_mesh(os.path.join(folder, name), element)
+                files.append((mesh_name(element), path, data))
+        return files
 
 
 def mesh_name(element: Element) -> str:

@@ -24,6 +24,8 @@ _OF_THE_FILE = ("thorvaldc", "extends")
 
 def with_entries(difference: Difference, before: Compilation, after: Compilation) -> Difference:
     """Returns a comparison with the entries that differ between the robot files."""
+    if difference.is_equal:
+        return difference  # such as other words, or a warning that is accepted
     pairs = [_documents(compilation) for compilation in (before, after)]
     if isinstance(difference, RobotDifference):
         (old,), (new,) = (pair.values() for pair in pairs)
@@ -66,6 +68,11 @@ def _differences(before: Node, after: Node, path: ValuePath) -> Iterator[LeafDif
         return
     for key in dict.fromkeys([*before.value, *after.value]):
         old, new, inner = before.value.get(key), after.value.get(key), (*path, key)
+        if "." in key and path:  # no part of a path: the mapping with this key is the value
+            if old is None or new is None or list(_differences(old, new, ())):
+                sides = (ABSENT if s is None else {key: s.plain()} for s in (old, new))
+                yield LeafDifference(path, *sides)
+            continue
         if inner[0] in _OF_THE_FILE:
             continue
         if old is not None and new is not None:

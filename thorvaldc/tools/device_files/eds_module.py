@@ -14,6 +14,7 @@ from pathlib import Path
 
 from thorvaldc.can.canopen import RPDO, TPDO
 from thorvaldc.compiler.bus.device_file import Dictionary, Entry, read_eds
+from thorvaldc.compiler.validation.schema_diagnostics import similar_name
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model.bus import CIA_402, OBJECT_TYPES
 from thorvaldc.tools.device_files.device_module import (
@@ -61,7 +62,12 @@ _UNITS = {
         }.items()
     },
 }
-_BATTERY_NAMES = {0x6010: "temperature", 0x6060: "voltage", 0x6081: "state_of_charge"}
+_BATTERY_NAMES = {
+    0x6010: "temperature",
+    0x6060: "voltage",
+    0x6070: "requested_charge_current",
+    0x6081: "state_of_charge",
+}
 """Names by which drivers of batteries read the objects of CiA 418."""
 _RAW = {0x6400, 0x6401, 0x6402, 0x6410, 0x6411, 0x6412}
 """Analogue inputs and outputs of CiA 401, in counts of the converter of the device."""
@@ -252,7 +258,8 @@ def _signal(
     keys["description"] = quoted(f"{entry.shown}, {name}.")
     short = fields["name"] if len(fields["name"]) > 8 or not fields["parent"] else name
     if dictionary.profile == 418:
-        short = _BATTERY_NAMES.get(entry.index, short)
+        is_taken = similar_name(short) in _BATTERY_NAMES.values()  # by an object of the profile
+        short = _BATTERY_NAMES.get(entry.index, f"{short} {entry.index:x}" if is_taken else short)
     return ModuleSignal(
         names.make(short, "object"), keys, dictionary.span(entry.index, entry.subindex)
     )

@@ -17,10 +17,20 @@ from thorvaldc.diagnostics.files import read_bounded
 from thorvaldc.simulation.physics.mjcf_reader import mujoco_worker, read_mjcf
 
 MAX_BYTES = 8_000_000
-# Elements of MJCF that change a robot.
-_NAMED = (
-    *("tendon", "equality", "sensor", "deformable", "extension", "composite", "flexcomp"),
-    *("attach", "replicate", "skin", "plugin", "mesh"),
+# Elements of MJCF that do not change a robot: the world, its picture and its solver, and defaults.
+_SILENT = (
+    *("option", "size", "statistic", "visual", "custom", "contact", "keyframe", "asset", "light"),
+    *("material", "texture", "hfield", "model", "pair", "equality", "tendon", "general", "motor"),
+    *(
+        "position",
+        "velocity",
+        "intvelocity",
+        "damper",
+        "cylinder",
+        "muscle",
+        "adhesion",
+        "lengthrange",
+    ),
 )
 
 
@@ -82,6 +92,9 @@ def _sdf_elements(root: Element, description: FileDescription, report: Report) -
     for element in walk(robot.model):
         if element.tag == "include":
             report.add("import-left-out", "an included model is not imported", element.span)
+        if element.tag == "model" and element is not robot.model:
+            text = f"the model `{robot.name(element)}` in it is not imported"
+            report.add("import-left-out", text, element.span)
     for name, link in robot.links.items():
         if link.find("inertial") is None:
             text = f"link `{name}` has no <inertial>: its mass is taken as 0, in Gazebo it is 1 kg"
@@ -129,7 +142,7 @@ def _mjcf_elements(
     for other in parts.others:
         if other.tag == "actuator":
             elements += [_drive(actuator) for actuator in other.children]
-        elif other.tag in _NAMED:
+        elif other.tag not in _SILENT or (other.tag in ("equality", "tendon") and other.children):
             kinds = dict.fromkeys(f"<{e.tag}>" for e in other.children)
             name = f"`{other.attributes['name']}`" if "name" in other.attributes else ""
             shown = name or ", ".join(kinds)
@@ -143,5 +156,10 @@ def _drive(actuator: Element) -> Element:
     urdf = UrdfElements(actuator)
     kind = "position" if actuator.tag == "position" else "velocity"
     interface = urdf.element("command_interface", name=kind)
-    joint = urdf.element("joint", interface, name=actuator.attributes.get("joint", ""))
+    joint = urdf.element("joint", interface, name=_joint_of(actuator))
     return urdf.element("ros2_control", joint)
+
+
+def _joint_of(actuator: Element) -> str:
+    stated = actuator.attributes
+    return stated.get("joint") or stated.get("jointinparent", "")

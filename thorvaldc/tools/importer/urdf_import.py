@@ -168,11 +168,11 @@ class _Conversion:
             robot.modules.append(self.instance(part))
             for link, own in part.links.items():
                 self.result.links[link] = f"{part.name}_{own}"
-        robot.comments += [f"Assumed, not in the file: {text}." for text in self.assumed]
+        robot.comments += [f"Assumed, not read from the file: {text}." for text in self.assumed]
         if self.assumed:
             self.report.add(
                 "import-assumed",
-                f"`{self.file}` does not state: {'; '.join(self.assumed)}",
+                f"assumed, and not read from `{self.file}`: {'; '.join(self.assumed)}",
                 self.description.links[root].span,
                 hint="correct the values in the modules; comments mark them",
             )

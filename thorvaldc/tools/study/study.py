@@ -43,6 +43,8 @@ except ImportError:  # on Windows, two runs of one study are not kept apart
     fcntl = None  # type: ignore[assignment]
 
 JOURNAL = "journal.log"
+ROBOT_HEAD = 3
+"""Lines of ``Study.robot_text`` before the values of the design."""
 _KILLED = {
     "status": "error",
     "code": "",
@@ -200,10 +202,11 @@ class Study:
 
         ``name``: name of the robot; ``folder``: folder of the new file.
         """
-        path = os.path.relpath(os.path.realpath(self.plan.robot), os.path.realpath(folder))
-        lines = ["thorvaldc: 1", f"extends: {yaml_text(Path(path).as_posix())}", f"name: {name}"]
-        lines += [f"{key}: {yaml_text(value)}" for key, value in self.plan.changes(design).items()]
-        return "\n".join(lines) + "\n"
+        robot = self.plan.robot
+        path = os.path.relpath(os.path.realpath(robot.parent), os.path.realpath(folder))
+        extended, changes = Path(path, robot.name).as_posix(), self.plan.changes(design)
+        entries = {"extends": extended, "name": changes.pop("name", name), **changes}
+        return "thorvaldc: 1\n" + "".join(f"{k}: {yaml_text(v)}\n" for k, v in entries.items())
 
     def best(self, table: DataFrame, by: str = "") -> Any:
         """Returns the row of the best design for an objective, or ``None`` if none is ``ok``.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json as json_text
+import re
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -119,6 +120,7 @@ def write_best(
     from thorvaldc.compiler.pipeline import compile_file
     from thorvaldc.compiler.source.input_file import unsaved_texts
     from thorvaldc.diagnostics.files import write_file
+    from thorvaldc.tools.study.study import ROBOT_HEAD
 
     opened = _open_study(study, library, trust)
     if opened is None:
@@ -136,8 +138,14 @@ def write_best(
         diagnostic_output.message("no design meets every constraint and passes every scenario")
         return INPUT
     path = Path(output)
-    if path.exists() and not path.read_text("utf-8", "replace").startswith(_HEADER):
-        raise OutsideError(f"will not overwrite {path}, which no study has written")
+    if not path.parent.is_dir():
+        raise OutsideError(f"there is no folder {path.parent}")
+    if path.exists():
+        is_robot = path.samefile(opened.plan.robot)
+        text = path.read_text("utf-8", "replace") if path.is_file() and not is_robot else ""
+        if not re.match(_HEADER_PATTERN, text):
+            which = "which is that of the study" if is_robot else "which no study has written"
+            raise OutsideError(f"will not overwrite {path}, {which}")
     values = json_text.loads(best["design"])
     lines = [f"{_HEADER}{best['sample']} of the study {opened.plan.name} ({study})"]
     lines += [f"#   {v.name}: {x}" for v, x in zip(opened.plan.variables, values, strict=True)]
@@ -154,15 +162,21 @@ def write_best(
     if report.has_errors:
         return diagnostic_output.show_report(report, compilation.sources)
     # Values that are those of the study's robot file, too, are left out.
-    unchanged = {d.span.line for d in report if d.code.name == "unit-unchanged" and d.span}
+    unchanged = {
+        d.span.line
+        for d in report
+        if d.code.name == "unit-unchanged" and d.span and Path(d.span.file) == path
+    }
+    head = len(lines) + ROBOT_HEAD
     rows = enumerate(text.splitlines(keepends=True), 1)
-    text = "".join(row for number, row in rows if number not in unchanged)
+    text = "".join(row for number, row in rows if number <= head or number not in unchanged)
     write_file(path, text)
     diagnostic_output.message(f"wrote {output}: design {best['sample']}")
     return DONE
 
 
 _HEADER = "# Design "
+_HEADER_PATTERN = rf"{_HEADER}\d+ of the study "
 
 
 def _open_study(path: str, library: list[str], trust: bool) -> Study | None:
