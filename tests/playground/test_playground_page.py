@@ -215,7 +215,8 @@ def test_an_error_while_typing_its_fix_and_the_last_robot(page: Page) -> None:
     before = version(page)
     write(page, TEXT.replace("tube_inset_y", "tube_inset"))
     page.wait_for_selector("#diagnostics .error", timeout=WAIT)
-    assert version(page) == before + 1
+    # On a busy computer, a new worker may have begun: its first robot is the last one.
+    assert version(page) in (before + 1, 2)
     assert page.evaluate("viewer.isGrey && viewer.robots.length") == 1
     assert "1 error" in page.inner_text("#status")
     page.hover(".cm-lintRange-error")
