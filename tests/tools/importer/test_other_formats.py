@@ -184,6 +184,7 @@ def test_our_own_build_has_the_mass_of_the_robot(tmp_path: Path, name: str, file
         ("cart.xml", "</mujoco>", "", "import-value", 32, "no element found"),
         ("cart.xml", 'size="0.05"', 'sizes="0.05"', "import-value", 22, "unrecognized attribute"),
         ("cart.xml", "lid.stl", "lit.stl", "import-value", 10, "does not exist"),
+        ("cart.xml", "../meshes", "../other", "import-value", 10, "not allowed"),
         ("cart.xml", "wheels.xml", "wheel.xml", "import-value", 19, "cannot be read"),
         ("cart.xml", "wheels.xml", "../w.xml", "import-value", 19, "not below the folder"),
         ("cart.xml", 'type="box"', 'class="%n%n%s"', "import-value", 1, "ended its reader"),
@@ -213,6 +214,7 @@ def test_our_own_build_has_the_mass_of_the_robot(tmp_path: Path, name: str, file
 def test_what_is_wrong_has_a_place(
     folder: Path, file: str, old: str, new: str, code: str, line: int, text: str
 ) -> None:
+    shutil.copytree(folder.parent / "meshes", folder.parent / "other")  # no folder of meshes
     content = (folder / file).read_text(encoding="utf-8")
     assert old in content
     (folder / file).write_text(content.replace(old, new), encoding="utf-8")

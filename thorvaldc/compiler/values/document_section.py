@@ -216,6 +216,7 @@ class Section:
         if kind.unit == "rad" and value:
             shown += f" ({math.degrees(value):.6g} deg)"
         hint = None
+        # A value below 2 may have been stated in percent, such as `110 %`.
         if limits == {"x-minimum": 0.0, "x-maximum": 1.0} and 2.0 <= value <= 100.0:
             hint = Proposal(f"did you mean `{value:.6g} %`?", f"{value:.6g} %")
         self._reader.report.add(

@@ -59,8 +59,9 @@ class Version:
     @property
     def units(self) -> list[str]:
         """Names of the units of systemd."""
+        folder = PurePosixPath("computer/systemd")
         paths = map(PurePosixPath, sorted(self.files))
-        return [path.name for path in paths if path.parent.name == "systemd"]
+        return [path.name for path in paths if path.parent == folder]
 
     @property
     def links(self) -> dict[str, str]:

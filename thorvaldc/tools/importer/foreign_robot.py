@@ -37,6 +37,7 @@ from thorvaldc.model import Mesh
 from thorvaldc.tools.importer import other_formats
 
 MAX_PARAMETER_BYTES = 1_000_000
+_MESHES = ("meshes", "assets")
 _HINTS = {"argument": "state it after the file: `thorvaldc import {file} {name}:=VALUE -o FOLDER`"}
 _EXPAND = "expand it first: `xacro FILE name:=value > robot.urdf`, beside its ROS packages"
 
@@ -88,10 +89,9 @@ def read_robot(
     search = xacro_expand.search_paths()
     readable = xacro_expand.readable_folders([request], path.absolute().parent, search)
     if path.suffix.lower() not in (".urdf", ".xacro"):
-        # Meshes often lie in a folder beside that of the file, or in another model of Gazebo there.
-        beside = path.absolute().parent.parent
-        readable += real_folders([beside])
-        loader = MeshLoader(_folders(beside), shown, readable, report)
+        folders = _mesh_folders(path.absolute().parent.parent)
+        readable += real_folders(folders.values())
+        loader = MeshLoader(folders, shown, readable, report)
         elements = other_formats.read_elements(robot.description, loader, robot.sources, report)
         _add_elements(robot, elements, loader, report)
         if controllers is not None and robot.description.links:
@@ -115,10 +115,19 @@ def read_robot(
     return robot
 
 
-def _folders(folder: Path) -> dict[str, str]:
-    """Returns the folders in a folder by name."""
+def _mesh_folders(folder: Path) -> dict[str, str]:
+    """Returns the folders beside that of a file that may have its meshes, by name.
+
+    These are folders of meshes by their names, and models of Gazebo; a file of others reads no
+    other folder.
+    """
     try:
-        return {entry.name: entry.path for entry in os.scandir(folder) if entry.is_dir()}
+        return {
+            entry.name: entry.path
+            for entry in os.scandir(folder)
+            if entry.is_dir(follow_symlinks=False)
+            and (entry.name in _MESHES or os.path.isfile(os.path.join(entry.path, "model.config")))
+        }
     except OSError:
         return {}
 
