@@ -354,6 +354,20 @@ modules.fr.params.gear_ratio: 30:1
         assert (refused.status, reason in refused.err) == (3, True), refused.err
 
 
+def test_a_variable_replaces_one_place_of_an_alias(run: Command) -> None:
+    aliased = UNPOWERED.replace("length: 1.1 m, width: 0.9 m", "length: &w 0.9 m, width: *w")
+    assert aliased != UNPOWERED
+    Path("good.yaml").write_text(aliased)
+    text = STUDY.replace("grid, number: 81", "grid, number: 2")
+    Path("study.yaml").write_text(text.replace("at_least: 50 deg", "at_least: 10 deg"))
+    assert run("study", "run", "study.yaml", "-j", "1").status == 0
+    assert run("study", "best", "study.yaml", "-o", "best.yaml").status == 0
+    robot = thorvaldc.load("best.yaml")
+    assert isinstance(robot, Robot)
+    size = robot_facts(robot).size
+    assert (size.wheelbase, size.track) == pytest.approx((0.9, 0.8), abs=1e-9)
+
+
 def test_the_winning_file_of_a_unit(run: Command) -> None:
     """The unit has an entry of its design; the robot has the name that the winner would have."""
     lines = ["thorvaldc: 1", "extends: good.yaml", "name: track_1", *["# a note"] * 8]
